@@ -1,0 +1,9 @@
+//! holdfast tells a construction site where each of its excavators is, to the centimetre, also when GNSS
+//! lets go. `src/README.md` is the map of the rooms; imports only look down.
+
+pub mod config;
+pub mod frames;
+pub mod lie;
+pub mod sensors;
+pub mod state;
+pub mod time;
