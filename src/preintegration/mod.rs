@@ -127,7 +127,8 @@ impl Preintegration {
         let velocity_by_phi = hat_acceleration * -0.5 + twice_turned / 6.0;
         let position_by_phi = hat_acceleration * (-1.0 / 6.0) + twice_turned / 24.0;
         let rotation_by_bias = self.rotation_by_gyro_bias;
-        self.position_by_gyro_bias += self.velocity_by_gyro_bias * dt + position_by_rotation * rotation_by_bias
+        self.position_by_gyro_bias += self.velocity_by_gyro_bias * dt
+            + position_by_rotation * rotation_by_bias
             - rotation * position_by_phi * (dt * dt * dt);
         self.position_by_accel_bias += self.velocity_by_accel_bias * dt - rotation * gamma_2 * (dt * dt);
         self.velocity_by_gyro_bias +=
