@@ -7,5 +7,6 @@ pub mod frames;
 pub mod lie;
 pub mod preintegration;
 pub mod sensors;
+pub mod smoother;
 pub mod state;
 pub mod time;

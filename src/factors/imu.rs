@@ -1,6 +1,5 @@
 //! The IMU between two neighbouring nodes.
 
-
 use crate::lie::{Mat3, So3, Vec3, hat};
 use crate::preintegration::{ImuNoise, Mat9, Preintegration};
 use crate::state::{NavState, StateMatrix, StateVector, row};
