@@ -1,0 +1,96 @@
+//! The estimator of one machine: readings in, estimates at IMU rate out.
+//!
+//! Two halves. The [`Updater`] keeps the smoother's window and turns measurements into [`Solution`]s; the
+//! [`Predictor`] carries the newest solution along with every IMU sample. On a machine they live on two threads
+//! and the predictor never waits ([`split`]); offline, [`Estimator`] runs both in turn on one thread, and the
+//! same readings give the same bits. Neither reads a clock, a file or a socket. `README.md` beside this file
+//! tells the whole story.
+
+mod alignment;
+mod gate;
+mod inbox;
+mod initialization;
+mod monitor;
+mod options;
+mod predictor;
+mod updater;
+
+pub use gate::Options as GateOptions;
+pub use options::{Initialization, Options};
+pub use predictor::Predictor;
+pub use updater::Updater;
+
+use crate::sensors::Arrival;
+use crate::state::{Estimate, Event, Health, Mode, NavState, StateMatrix};
+use crate::time::{Span, Stamp};
+
+/// A gap in the IMU's samples up to this length is bridged; after a longer one the estimate starts anew.
+const IMU_GAP_MAX: Span = Span::from_millis(500);
+
+/// What an update found: the newest node of the window.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Solution {
+    /// Of the node.
+    pub stamp: Stamp,
+    /// Its state.
+    pub state: NavState,
+    /// Of its state, in the state's tangent.
+    pub covariance: StateMatrix,
+    /// What the estimate rests on.
+    pub mode: Mode,
+    /// The first one after a start.
+    pub restart: bool,
+}
+
+/// Both halves, for two threads. Each must be given every arrival, in the same order; solutions go from the
+/// updater to [`Predictor::adopt`] between two arrivals.
+pub fn split(options: Options) -> (Predictor, Updater) {
+    (Predictor::new(options.clone()), Updater::new(options))
+}
+
+/// Both halves in turn, on the caller's thread.
+pub struct Estimator {
+    predictor: Predictor,
+    updater: Updater,
+}
+
+impl Estimator {
+    /// An estimator that has seen nothing yet.
+    pub fn new(options: Options) -> Self {
+        let (predictor, updater) = split(options);
+        Self { predictor, updater }
+    }
+
+    /// Takes a reading, in order of arrival. An IMU sample gives an estimate once started; what the reading
+    /// itself corrects is in the next one, as it is on a machine.
+    pub fn push(&mut self, arrival: &Arrival) -> Option<Estimate> {
+        let estimate = self.predict(arrival);
+        self.update(arrival);
+        estimate
+    }
+
+    /// First half of [`Estimator::push`], for callers that time the halves.
+    pub fn predict(&mut self, arrival: &Arrival) -> Option<Estimate> {
+        self.predictor.push(arrival)
+    }
+
+    /// Second half of [`Estimator::push`]; whether a solution was taken over.
+    pub fn update(&mut self, arrival: &Arrival) -> bool {
+        let solution = self.updater.push(arrival);
+        let found = solution.is_some();
+        if let Some(solution) = solution {
+            self.predictor.adopt(solution);
+        }
+        found
+    }
+
+    /// Health as of the newest arrival.
+    pub fn health(&self) -> Health {
+        self.updater.health()
+    }
+
+    /// Events since the last call, oldest first.
+    pub fn take_events(&mut self) -> Vec<Event> {
+        self.updater.take_events()
+    }
+}
