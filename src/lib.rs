@@ -7,3 +7,4 @@ pub mod lie;
 pub mod sensors;
 pub mod state;
 pub mod time;
+pub mod wire;
