@@ -4,6 +4,7 @@
 pub mod config;
 pub mod frames;
 pub mod lie;
+pub mod record;
 pub mod sensors;
 pub mod state;
 pub mod time;
