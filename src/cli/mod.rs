@@ -1,0 +1,4 @@
+//! The command line: one file a command, each a set of arguments and a function that runs it.
+
+mod progress;
+pub mod simulate;
