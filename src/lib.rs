@@ -11,6 +11,7 @@ pub mod import;
 pub mod lie;
 pub mod preintegration;
 pub mod record;
+pub mod replay;
 pub mod sensors;
 pub mod simulate;
 pub mod smoother;

@@ -39,6 +39,7 @@ struct Book {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Inbox {
     books: [Book; Sensor::ALL.len()],
+    unfit: u64,
 }
 
 impl Inbox {
@@ -60,9 +61,15 @@ impl Inbox {
             Admission::Refused(reason) | Admission::ClockReset(reason) => {
                 book.refused += 1;
                 book.last_refusal = Some(reason.clone());
+                self.unfit += 1;
             }
         }
         admission
+    }
+
+    /// Readings that were no measurements at all or came against the clock.
+    pub fn unfit(&self) -> u64 {
+        self.unfit
     }
 
     /// Writes down that a reading that was admitted could not be used after all.

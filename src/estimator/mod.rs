@@ -48,6 +48,14 @@ pub fn split(options: Options) -> (Predictor, Updater) {
     (Predictor::new(options.clone()), Updater::new(options))
 }
 
+/// A solution was taken over.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Takeover {
+    /// How far it moved the position at the newest IMU sample, m: the consistency of prediction and update
+    /// (Nubert et al. 2022, section V-D). `None` for the first one after a start.
+    pub correction_m: Option<f64>,
+}
+
 /// Both halves in turn, on the caller's thread.
 pub struct Estimator {
     predictor: Predictor,
@@ -74,14 +82,15 @@ impl Estimator {
         self.predictor.push(arrival)
     }
 
-    /// Second half of [`Estimator::push`]; whether a solution was taken over.
-    pub fn update(&mut self, arrival: &Arrival) -> bool {
-        let solution = self.updater.push(arrival);
-        let found = solution.is_some();
-        if let Some(solution) = solution {
-            self.predictor.adopt(solution);
-        }
-        found
+    /// Second half of [`Estimator::push`]: takes over the solution that the reading led to, if any.
+    pub fn update(&mut self, arrival: &Arrival) -> Option<Takeover> {
+        let solution = self.updater.push(arrival)?;
+        Some(self.predictor.adopt_measured(solution))
+    }
+
+    /// Readings that were no measurements at all or came against the clock.
+    pub fn unfit_readings(&self) -> u64 {
+        self.updater.unfit_readings()
     }
 
     /// Health as of the newest arrival.

@@ -6,7 +6,7 @@
 
 use super::inbox::{Admission, Inbox};
 use super::options::Options;
-use super::{IMU_GAP_MAX, Solution};
+use super::{IMU_GAP_MAX, Solution, Takeover};
 use crate::frames::{Base, Cabin, Imu, Odom, Pose};
 use crate::lie::{Se3, So3, Vec3};
 use crate::preintegration::{Preintegration, SampleBuffer, Step, propagate};
@@ -160,6 +160,19 @@ impl Predictor {
         self.samples.forget_before(solution.stamp);
         self.track =
             Some(Track { solution, stamp: newest, state, covariance, motion, samples_since_covariance: 0 });
+    }
+
+    /// [`Predictor::adopt`], and how far it moved the position.
+    pub fn adopt_measured(&mut self, solution: Box<Solution>) -> Takeover {
+        let restart = solution.restart;
+        let position = |predictor: &Self| predictor.track.as_ref().map(|track| track.state.position);
+        let before = position(self);
+        self.adopt(solution);
+        let correction_m = match (before, position(self)) {
+            (Some(before), Some(after)) if !restart => Some((after - before).norm()),
+            _ => None,
+        };
+        Takeover { correction_m }
     }
 
     /// The chassis, by the cabin turn at the sample's stamp.

@@ -381,6 +381,12 @@ impl Updater {
         self.monitor.health(self.now, waits_for, gnss, self.inbox.health(self.now))
     }
 
+    /// Readings that were no measurements at all or came against the clock: bad data, unlike a fix that the
+    /// gate refused.
+    pub fn unfit_readings(&self) -> u64 {
+        self.inbox.unfit()
+    }
+
     /// Events since the last call, oldest first.
     pub fn take_events(&mut self) -> Vec<Event> {
         self.monitor.take_events()
