@@ -46,27 +46,28 @@ impl Sky {
         Some((index, interval, part))
     }
 
-    /// Consecutive intervals from 0 to `duration_s`: start, end, `good` or what is wrong.
-    pub(super) fn conditions(&self, duration_s: f64) -> Vec<(f64, f64, &'static str)> {
-        let mut edges = vec![0.0];
-        let period_s = self.period.map_or(f64::INFINITY, Span::as_seconds);
-        let mut round_s = 0.0;
-        while round_s < duration_s {
-            edges.push(round_s);
-            for interval in &self.intervals {
-                let inside = |stamp: Stamp| round_s + stamp.as_seconds().min(period_s);
-                edges.extend([inside(interval.start), inside(interval.end)]);
+    /// Consecutive intervals from 0 to `end`: `good` or what is wrong.
+    pub(super) fn conditions(&self, end: Stamp) -> Vec<(Stamp, Stamp, &'static str)> {
+        let mut edges = vec![Stamp::default(), end];
+        let mut round = Span::default();
+        loop {
+            for edge in self.intervals.iter().flat_map(|interval| [interval.start, interval.end]) {
+                // What lies after the end of a round is never reached.
+                let edge = self.period.map_or(edge, |period| edge.min(Stamp::default() + period));
+                edges.push((edge + round).min(end));
             }
-            round_s += period_s;
+            let Some(period) = self.period else { break };
+            round = Span::from_nanos(round.as_nanos() + period.as_nanos());
+            if Stamp::default() + round >= end {
+                break;
+            }
+            edges.push(Stamp::default() + round);
         }
-        edges.retain(|edge_s| *edge_s < duration_s);
-        edges.push(duration_s);
-        edges.sort_by(f64::total_cmp);
+        edges.sort();
         edges.dedup();
-        let mut conditions: Vec<(f64, f64, &'static str)> = Vec::new();
+        let mut conditions: Vec<(Stamp, Stamp, &'static str)> = Vec::new();
         for pair in edges.windows(2) {
-            let middle = Stamp::from_seconds(0.5 * (pair[0] + pair[1]));
-            let name = self.at(middle).map_or("good", |(_, interval, _)| interval.kind.name());
+            let name = self.at(pair[0]).map_or("good", |(_, interval, _)| interval.kind.name());
             match conditions.last_mut() {
                 Some(last) if last.2 == name => last.1 = pair[1],
                 _ => conditions.push((pair[0], pair[1], name)),

@@ -151,10 +151,9 @@ impl Simulation {
         self
     }
 
-    /// What GNSS is like from 0 to `duration_s`: consecutive intervals (start, end, `good` or the
-    /// scenario's word), s.
-    pub fn gnss_conditions(&self, duration_s: f64) -> Vec<(f64, f64, &'static str)> {
-        self.sky.conditions(duration_s)
+    /// What GNSS is like from 0 to `end`: consecutive intervals, each `good` or with the scenario's word.
+    pub fn gnss_conditions(&self, end: Stamp) -> Vec<(Stamp, Stamp, &'static str)> {
+        self.sky.conditions(end)
     }
 
     /// What is true at `stamp`.
