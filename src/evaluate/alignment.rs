@@ -37,7 +37,7 @@ impl Alignment {
             Alignment::None => So3::identity(),
             Alignment::Yaw => {
                 let (x, y) = (spread[(0, 0)] + spread[(1, 1)], spread[(1, 0)] - spread[(0, 1)]);
-                So3::exp(&(Vec3::z() * y.atan2(x)))
+                So3::exp(&(Vec3::z() * libm::atan2(y, x)))
             }
             Alignment::Se3 => closest_rotation(&spread),
         };

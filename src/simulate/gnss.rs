@@ -119,7 +119,7 @@ impl Receiver {
             return Solution::Fixed { extra: 0.0 };
         };
         let wave = |period_s: f64| {
-            0.5 - 0.5 * (std::f64::consts::TAU * stamp.seconds_since(interval.start) / period_s).cos()
+            0.5 - 0.5 * libm::cos(std::f64::consts::TAU * stamp.seconds_since(interval.start) / period_s)
         };
         match interval.kind {
             GnssConditionKind::Blocked => Solution::Missing,
@@ -183,7 +183,7 @@ impl AntennaSource {
             let heading = offsets.uniform(0.0, std::f64::consts::TAU);
             let size_m = offsets.uniform(CONFIDENT_OFFSET_M[0], CONFIDENT_OFFSET_M[1]);
             let up = offsets.uniform(-0.5, 0.5);
-            Vec3::new(heading.cos(), heading.sin(), up).normalize() * size_m
+            Vec3::new(libm::cos(heading), libm::sin(heading), up).normalize() * size_m
         };
         let offsets = receiver.sky.intervals.iter().map(|_| offset()).collect();
         let wander = dice.normals();
@@ -196,7 +196,8 @@ impl Source for AntennaSource {
     fn read(&mut self, stamp: Stamp, bodies: &Bodies) -> Option<Reading> {
         let white = self.dice.normals();
         let drive = self.dice.normals();
-        let memory = self.last_stamp.map_or(1.0, |last| (-stamp.seconds_since(last) / WANDER_TIME_S).exp());
+        let memory =
+            self.last_stamp.map_or(1.0, |last| libm::exp(-stamp.seconds_since(last) / WANDER_TIME_S));
         self.wander = self.wander * memory + drive * (1.0 - memory * memory).sqrt();
         self.last_stamp = Some(stamp);
         let usual = Vec3::from_row_slice(&self.specification.sigma_enu_m);

@@ -32,7 +32,7 @@ impl Path {
         for index in 0..last * LENGTH_STEPS {
             let middle = (index as f64 + 0.5) / LENGTH_STEPS as f64;
             let [x, y] = [0, 1].map(|axis| path.derivatives(axis, middle)[1]);
-            way += x.hypot(y) / LENGTH_STEPS as f64;
+            way += libm::hypot(x, y) / LENGTH_STEPS as f64;
             path.length.push(way);
         }
         path

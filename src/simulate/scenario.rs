@@ -392,7 +392,7 @@ impl Checked for ScenarioFile {
 
 impl Machine {
     fn check(&self, repeat: bool) -> Result<(), Violation> {
-        let close = |pair: &[[f64; 2]]| (pair[1][0] - pair[0][0]).hypot(pair[1][1] - pair[0][1]) < 0.1;
+        let close = |pair: &[[f64; 2]]| libm::hypot(pair[1][0] - pair[0][0], pair[1][1] - pair[0][1]) < 0.1;
         if self.path_m.len() < 2 || self.path_m.windows(2).any(close) {
             return config::violation(
                 "machine.path_m",
