@@ -2,8 +2,9 @@
 
 use super::dice::Dice;
 use super::motion::Bodies;
-use super::scenario::{Gnss, GnssConditionKind};
+use super::scenario::GnssConditionKind;
 use super::sensor::Source;
+use super::specification::Gnss;
 use crate::frames::geodesy::SiteFrame;
 use crate::lie::{Se3, Vec3};
 use crate::sensors::{GnssFix, Reading};

@@ -2,7 +2,7 @@
 
 use super::dice::Dice;
 use super::motion::Bodies;
-use super::scenario::{CabinTurn, Imu, LidarOdometry};
+use super::specification::{CabinTurn, Imu, LidarOdometry};
 use crate::frames::Pose;
 use crate::lie::{Se3, So3, Vec3};
 use crate::sensors::{self, ImuSample, LidarPose, Reading};
