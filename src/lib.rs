@@ -3,6 +3,7 @@
 
 pub mod cli;
 pub mod config;
+pub mod estimator;
 pub mod evaluate;
 pub mod export;
 pub mod factors;
@@ -10,8 +11,11 @@ pub mod frames;
 pub mod import;
 pub mod lie;
 pub mod preintegration;
+pub mod record;
+pub mod replay;
 pub mod sensors;
 pub mod simulate;
 pub mod smoother;
 pub mod state;
 pub mod time;
+pub mod wire;

@@ -556,5 +556,16 @@ pub fn predict_covariance(
     (predicted + predicted.transpose()) * 0.5
 }
 
+/// Covariance (m²) in the world of a point fixed to the body at `lever_arm` (IMU frame, m).
+pub fn predicted_position_covariance(state: &NavState, covariance: &StateMatrix, lever_arm: &Vec3) -> Mat3 {
+    let by_rotation = -state.rotation.matrix() * crate::lie::hat(lever_arm);
+    let block = |row: usize, column: usize| covariance.fixed_view::<3, 3>(row, column).into_owned();
+    let cross = by_rotation * block(row::ROTATION, row::POSITION);
+    by_rotation * block(row::ROTATION, row::ROTATION) * by_rotation.transpose()
+        + cross
+        + cross.transpose()
+        + block(row::POSITION, row::POSITION)
+}
+
 #[cfg(test)]
 mod tests;
