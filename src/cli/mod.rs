@@ -5,6 +5,7 @@
 
 mod check;
 mod estimate;
+mod evaluate;
 mod progress;
 mod realtime;
 mod simulate;
@@ -28,6 +29,7 @@ struct CommandLine {
 enum Command {
     Simulate(simulate::Arguments),
     Estimate(estimate::Arguments),
+    Evaluate(evaluate::Arguments),
     Check(check::Arguments),
 }
 
@@ -48,6 +50,7 @@ pub fn main() -> ExitCode {
     let result = match arguments.command {
         Command::Simulate(arguments) => simulate::run(arguments).map(|()| Outcome::Done),
         Command::Estimate(arguments) => estimate::run(arguments),
+        Command::Evaluate(arguments) => evaluate::run(arguments).map(|()| Outcome::Done),
         Command::Check(arguments) => Ok(check::run(&arguments)),
     };
     match result {
