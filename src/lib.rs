@@ -7,6 +7,10 @@ pub mod export;
 pub mod frames;
 pub mod import;
 pub mod lie;
+#[cfg(feature = "shells")]
+pub mod link;
+#[cfg(feature = "shells")]
+pub mod machine;
 pub mod record;
 pub mod sensors;
 pub mod simulate;
