@@ -3,7 +3,9 @@
 
 pub mod cli;
 pub mod config;
+pub mod estimator;
 pub mod export;
+pub mod factors;
 pub mod frames;
 pub mod import;
 pub mod lie;
@@ -11,9 +13,12 @@ pub mod lie;
 pub mod link;
 #[cfg(feature = "shells")]
 pub mod machine;
+pub mod preintegration;
 pub mod record;
+pub mod replay;
 pub mod sensors;
 pub mod simulate;
+pub mod smoother;
 pub mod state;
 pub mod time;
 pub mod wire;

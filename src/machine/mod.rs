@@ -91,7 +91,7 @@ impl Machine {
         let clock = Clock::new(prepared.is_played().then_some(speed));
         let counters = Arc::new(Counters::default());
         let (outbox, outlets) = Outbox::start(&session, &machine, boot, clock, Arc::clone(&counters)).await?;
-        let (predictor, updater) = estimator::split(estimator::Options::from(&machine));
+        let (predictor, updater) = estimator::split(machine.estimator_options());
         let (pipeline, inlet) = Pipeline::start(predictor, updater, outlets.clone(), Arc::clone(&counters))?;
         let feed = prepared.start(&session, &machine, inlet, outlets, clock, Arc::clone(&counters)).await?;
         let key = alive_key(&machine.link.site, &machine.id, boot);

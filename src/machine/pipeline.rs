@@ -4,14 +4,13 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::thread::JoinHandle;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use super::MachineError;
 use super::counters::Counters;
 use super::outbox::Outlets;
 use crate::estimator::{Predictor, Solution, Updater};
 use crate::sensors::{Arrival, Sensor};
-use crate::state::Health;
 use crate::time::Span;
 
 /// Readings on the way to the predictor: some two seconds of all sensors. Full, it refuses live readings and
@@ -23,8 +22,6 @@ const UPDATE_QUEUE: usize = 4096;
 const SOLUTION_QUEUE: usize = 4;
 /// Health is looked at so often, by the machine's stamps.
 const HEALTH_EVERY: Span = Span::from_millis(100);
-/// Over so long the time of an update is averaged.
-const UPDATE_TIME_OVER: Duration = Duration::from_secs(1);
 
 /// The two threads.
 pub(super) struct Pipeline {
@@ -65,12 +62,7 @@ impl Pipeline {
         let (update_sender, update_input) = sync_channel(UPDATE_QUEUE);
         let (solution_sender, solutions) = sync_channel(SOLUTION_QUEUE);
         let inlet = Inlet { sender: input_sender, counters: Arc::clone(&counters) };
-        let updating = Updating {
-            updater,
-            outlets: outlets.clone(),
-            counters: Arc::clone(&counters),
-            times: UpdateTimes::new(),
-        };
+        let updating = Updating { updater, outlets: outlets.clone(), counters: Arc::clone(&counters) };
         let updater = spawn("updater", move || updating.run(&update_input, &solution_sender))?;
         let mut predicting = Predicting { predictor, outlets, counters, latest: None };
         let predictor = spawn("predictor", move || predicting.run(&input, &update_sender, &solutions))?;
@@ -142,7 +134,6 @@ struct Updating {
     updater: Updater,
     outlets: Outlets,
     counters: Arc<Counters>,
-    times: UpdateTimes,
 }
 
 impl Updating {
@@ -154,7 +145,7 @@ impl Updating {
             if let Some(solution) = solution {
                 let duration = start.elapsed();
                 self.counters.updated_in(duration);
-                self.times.add(duration);
+                self.updater.note_update_time(duration.as_secs_f64() * 1e6);
                 if solutions.send(solution).is_err() {
                     // The predictor has ended; nobody waits for the rest.
                     return;
@@ -167,39 +158,8 @@ impl Updating {
             }
             if happened || health_due.is_none_or(|due| arrival.arrival >= due) {
                 health_due = Some(arrival.arrival + HEALTH_EVERY);
-                let health = Health { update_us: self.times.mean_us(), ..self.updater.health() };
-                self.outlets.health(health);
+                self.outlets.health(self.updater.health());
             }
         }
-    }
-}
-
-/// Mean time of the updates of the last full second.
-struct UpdateTimes {
-    since: Instant,
-    count: u32,
-    total: Duration,
-    mean_us: f64,
-}
-
-impl UpdateTimes {
-    fn new() -> Self {
-        Self { since: Instant::now(), count: 0, total: Duration::ZERO, mean_us: 0.0 }
-    }
-
-    fn add(&mut self, duration: Duration) {
-        self.count += 1;
-        self.total += duration;
-        if self.since.elapsed() >= UPDATE_TIME_OVER {
-            self.mean_us = self.total.as_secs_f64() * 1e6 / f64::from(self.count);
-            *self = Self { mean_us: self.mean_us, ..Self::new() };
-        }
-    }
-
-    fn mean_us(&self) -> f64 {
-        if self.mean_us == 0.0 && self.count > 0 {
-            return self.total.as_secs_f64() * 1e6 / f64::from(self.count);
-        }
-        self.mean_us
     }
 }
