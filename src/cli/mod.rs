@@ -5,6 +5,9 @@
 
 mod check;
 mod estimate;
+mod evaluate;
+#[cfg(feature = "shells")]
+mod logging;
 #[cfg(feature = "shells")]
 mod machine;
 mod progress;
@@ -30,6 +33,7 @@ struct CommandLine {
 enum Command {
     Simulate(simulate::Arguments),
     Estimate(estimate::Arguments),
+    Evaluate(evaluate::Arguments),
     Check(check::Arguments),
     #[cfg(feature = "shells")]
     Machine(machine::Arguments),
@@ -52,6 +56,7 @@ pub fn main() -> ExitCode {
     let result = match arguments.command {
         Command::Simulate(arguments) => simulate::run(arguments).map(|()| Outcome::Done),
         Command::Estimate(arguments) => estimate::run(arguments),
+        Command::Evaluate(arguments) => evaluate::run(arguments).map(|()| Outcome::Done),
         Command::Check(arguments) => Ok(check::run(&arguments)),
         #[cfg(feature = "shells")]
         Command::Machine(arguments) => machine::run(arguments).map(|()| Outcome::Done),

@@ -7,16 +7,20 @@
 //!      │ `fixes_to_return` good fixes in a row      ▼
 //!      └────────────────────────────────────── recovering ──▶ lost on a bad fix
 //! ```
-//! A single bad fix is left out without loss of trust. While trust is lost no fix is used; fixes that agree
-//! with each other, report small sigmas and imply a possible speed bring it back, also if they contradict the
-//! estimate: then the estimate was wrong.
+//! A single bad fix is left out without loss of trust. While trust is lost no fix is used. Fixes that report
+//! small sigmas, imply a possible speed and agree with the estimate, whose covariance has grown meanwhile, bring
+//! it back. Fixes that agree with each other but not with the estimate are multipath, which lasts seconds; if
+//! they go on for longer than that, the estimate was wrong, and they are believed.
 
 use crate::lie::{Mat3, Vec3};
 use crate::state::GnssState;
 use crate::time::{Span, Stamp};
 
-/// Chi-square with 3 degrees of freedom, passed by 1 in 10 000 good fixes.
-const INNOVATION_LIMIT: f64 = 21.1;
+/// Squared innovation (3 degrees of freedom) that is refused: about 7 sigmas along one axis. What is less far
+/// off is left to the robust loss, since vibration and stamps have heavier tails than their sigmas say.
+const INNOVATION_LIMIT: f64 = 50.0;
+/// Multipath is over after so long; fixes that contradict the estimate for longer are right.
+const CONTRADICTION_MAX: Span = Span::from_millis(8_000);
 /// So many bad fixes in a row are a loss.
 const BAD_IN_A_ROW: u32 = 3;
 /// Without fixes for so long, GNSS is silent.
@@ -79,6 +83,8 @@ pub(super) struct Gate {
     trusted: bool,
     good_in_row: u32,
     bad_in_row: u32,
+    /// While lost: since when fixes agree with each other against the estimate.
+    contradicting_since: Option<Stamp>,
     last_used: Option<Stamp>,
     last_heard: Option<Stamp>,
     previous: Option<Candidate>,
@@ -94,6 +100,7 @@ impl Gate {
             trusted: false,
             good_in_row: 0,
             bad_in_row: 0,
+            contradicting_since: None,
             last_used: None,
             last_heard: None,
             previous: None,
@@ -142,10 +149,7 @@ impl Gate {
     pub fn judge(&mut self, candidate: Candidate) -> Judgement {
         self.last_heard = Some(candidate.stamp);
         let test_ratio = self.test_ratio(&candidate);
-        let (cause, refusal) = match self.find_fault(&candidate, test_ratio) {
-            Some((cause, reason)) => (Some(cause), Some(reason)),
-            None => (None, None),
-        };
+        let (cause, refusal) = self.find_fault(&candidate, test_ratio).unzip();
         let turn = match cause {
             Some(cause) => self.note_bad(cause, candidate.stamp),
             None => self.note_good(),
@@ -159,6 +163,7 @@ impl Gate {
     }
 
     fn find_fault(&mut self, candidate: &Candidate, test_ratio: f64) -> Option<(GnssState, String)> {
+        let contradicting_since = self.contradicting_since.take();
         if let Some(reason) = self.sigma_refusal(&candidate.sigma) {
             return Some((GnssState::Degraded, reason));
         }
@@ -166,22 +171,31 @@ impl Gate {
             let reason = format!("position has not changed while the machine moved {travelled:.2} m");
             return Some((GnssState::Frozen, reason));
         }
-        if let Some(previous) = &self.previous {
-            let elapsed = candidate.stamp.seconds_since(previous.stamp);
-            let moved = (candidate.position - previous.position).norm();
-            let noise = 5.0 * (candidate.sigma.norm() + previous.sigma.norm()).max(0.01);
-            if moved > self.options.speed_max * elapsed + noise {
-                let reason = format!("moved {moved:.2} m in {elapsed:.2} s");
-                return Some((GnssState::Jumping, reason));
-            }
-        }
-        // While trust is lost, fixes have to agree with each other, not with an estimate that may have drifted.
-        if self.trusted && test_ratio > 1.0 {
-            let off = (candidate.position - candidate.expected).norm();
-            let reason = format!("is {off:.2} m from where it is expected, {test_ratio:.1} times the limit");
+        if let Some(reason) = self.too_fast(candidate) {
             return Some((GnssState::Jumping, reason));
         }
-        None
+        if test_ratio <= 1.0 {
+            return None;
+        }
+        if !self.trusted {
+            let since = contradicting_since.unwrap_or(candidate.stamp);
+            self.contradicting_since = Some(since);
+            if candidate.stamp - since > CONTRADICTION_MAX {
+                return None;
+            }
+        }
+        let off = (candidate.position - candidate.expected).norm();
+        let reason = format!("is {off:.2} m from where it is expected, {test_ratio:.1} times the limit");
+        Some((GnssState::Jumping, reason))
+    }
+
+    fn too_fast(&self, candidate: &Candidate) -> Option<String> {
+        let previous = self.previous.as_ref()?;
+        let elapsed = candidate.stamp.seconds_since(previous.stamp);
+        let moved = (candidate.position - previous.position).norm();
+        let noise = 5.0 * (candidate.sigma.norm() + previous.sigma.norm()).max(0.01);
+        (moved > self.options.speed_max * elapsed + noise)
+            .then(|| format!("moved {moved:.2} m in {elapsed:.2} s"))
     }
 
     /// How far the machine went while the position stayed the same to the bit, if that is too far.
@@ -217,6 +231,7 @@ impl Gate {
             return None;
         }
         self.trusted = true;
+        self.contradicting_since = None;
         self.state = GnssState::Fixed;
         Some(Turn::Recovered)
     }
@@ -283,11 +298,11 @@ mod tests {
     fn reported_sigma_over_the_limit_loses_trust_and_ten_good_fixes_bring_it_back() {
         let mut gate = trusted();
         gate.judge(candidate(0, near(0, 0.0), 0.01));
-        let turns: Vec<_> = (1..=5).map(|k| gate.judge(candidate(k, near(k, 0.1), 0.5)).turn).collect();
+        let turns: Vec<_> = (1..=5).map(|k| gate.judge(candidate(k, near(k, 0.05), 0.5)).turn).collect();
         assert_eq!(turns[2], Some(Turn::Lost { since: Stamp::from_nanos(0) }));
         assert_eq!(turns.iter().flatten().count(), 1);
         assert_eq!(gate.state(), GnssState::Degraded);
-        let used: Vec<_> = (6..=16).map(|k| gate.judge(candidate(k, near(k, 0.1), 0.01)).used).collect();
+        let used: Vec<_> = (6..=16).map(|k| gate.judge(candidate(k, near(k, 0.05), 0.01)).used).collect();
         assert_eq!(used.iter().position(|used| *used), Some(9));
     }
 
@@ -319,6 +334,20 @@ mod tests {
         }
         assert_eq!(gate.state(), GnssState::Frozen);
         assert!(!gate.trusted());
+    }
+
+    #[test]
+    fn fixes_that_contradict_the_estimate_are_multipath_for_seconds_and_right_after_that() {
+        let mut gate = trusted();
+        (0..10).for_each(|k| assert!(gate.judge(candidate(k, near(k, 0.0), 0.01)).used));
+        // 0.8 m off for two seconds, with small sigmas: never used, and the good ones after it are.
+        (10..50).for_each(|k| assert!(!gate.judge(candidate(k, near(k, 0.8), 0.01)).used));
+        let back: Vec<_> = (50..70).map(|k| gate.judge(candidate(k, near(k, 0.0), 0.01)).used).collect();
+        assert_eq!(back.iter().position(|used| *used), Some(10), "the first one has jumped back");
+        // The same offset for good: the estimate is wrong.
+        let offset: Vec<_> = (70..300).map(|k| gate.judge(candidate(k, near(k, 0.8), 0.01)).used).collect();
+        let accepted = offset.iter().position(|used| *used).expect("believed in the end");
+        assert!((160..190).contains(&accepted), "{accepted}");
     }
 
     #[test]
