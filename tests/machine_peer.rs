@@ -1,5 +1,6 @@
 //! A machine's peer over real Zenoh sessions, seen by somebody who knows only keys and formats.
 #![cfg(feature = "shells")]
+#![allow(clippy::disallowed_methods, reason = "what runs in real time is measured in it")]
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -73,8 +74,8 @@ struct Seen {
 struct Observer {
     session: zenoh::Session,
     endpoint: String,
-    samples: mpsc::UnboundedReceiver<Seen>,
-    tokens: mpsc::UnboundedReceiver<(SampleKind, String)>,
+    samples: mpsc::Receiver<Seen>,
+    tokens: mpsc::Receiver<(SampleKind, String)>,
 }
 
 impl Observer {
@@ -82,8 +83,8 @@ impl Observer {
         let settings = link::site_config(&["tcp/127.0.0.1:0".to_owned()], 2000).expect("settings");
         let session = link::open(settings).await.expect("session");
         let endpoint = session.info().locators().await[0].to_string();
-        let (sample_sender, samples) = mpsc::unbounded_channel();
-        let (token_sender, tokens) = mpsc::unbounded_channel();
+        let (sample_sender, samples) = mpsc::channel(1 << 16);
+        let (token_sender, tokens) = mpsc::channel(1 << 16);
         session
             .declare_subscriber("holdfast/site/**")
             .callback(move |sample: Sample| {
@@ -93,7 +94,7 @@ impl Observer {
                     attachment: Attachment::decode(&attachment).expect("ours"),
                     payload: sample.payload().to_bytes().into_owned(),
                 };
-                let _ = sample_sender.send(seen);
+                sample_sender.try_send(seen).expect("room");
             })
             .background()
             .await
@@ -103,7 +104,7 @@ impl Observer {
             .declare_subscriber(alive_selector("site"))
             .history(true)
             .callback(move |sample: Sample| {
-                let _ = token_sender.send((sample.kind(), sample.key_expr().as_str().to_owned()));
+                token_sender.try_send((sample.kind(), sample.key_expr().as_str().to_owned())).expect("room");
             })
             .background()
             .await
@@ -139,7 +140,7 @@ async fn played_machine_is_seen_whole_by_a_third_party() {
     let Ok(Key::Alive { machine: "walker-1", boot, .. }) = Key::parse(&alive) else { panic!("{alive}") };
     assert_eq!(boot, peer.boot());
     tokio::time::timeout(PATIENCE, peer.source_ended()).await.expect("in time");
-    let report = peer.stop().await;
+    let report = peer.stop().await.expect("no panic");
     let (kind, gone) = observer.token().await;
     assert_eq!((kind, gone), (SampleKind::Delete, alive));
 
@@ -251,7 +252,7 @@ async fn drivers_publish_to_the_machine_and_nonsense_is_told() {
     }
     assert_eq!(seen_imu, samples);
     link::close(driver).await;
-    let report = peer.stop().await;
+    let report = peer.stop().await.expect("no panic");
     // Our own republished readings did not come back in.
     assert_eq!((report.readings, report.lost), (samples.len() as u64, 1), "{report}");
     link::close(observer.session).await;
@@ -267,10 +268,10 @@ async fn machine_starts_without_its_site_is_found_when_it_comes_and_stops_at_onc
     let peer = Machine::start(Options { machine, source, speed: 1.0 }).await.expect("start");
     let settings = link::site_config(&[format!("tcp/{free}")], 2000).expect("settings");
     let site = link::open(settings).await.expect("site");
-    let (sender, mut receiver) = mpsc::unbounded_channel();
+    let (sender, mut receiver) = mpsc::channel(1 << 16);
     site.declare_subscriber("holdfast/site/walker-2/sensor/imu")
         .callback(move |sample: Sample| {
-            let _ = sender.send(sample.payload().to_bytes().into_owned());
+            sender.try_send(sample.payload().to_bytes().into_owned()).expect("room");
         })
         .background()
         .await
@@ -279,7 +280,7 @@ async fn machine_starts_without_its_site_is_found_when_it_comes_and_stops_at_onc
     let reading: Result<Reading, WireError> = decode_reading(Sensor::Imu, &payload);
     assert!(reading.is_ok());
     let stopped = std::time::Instant::now();
-    peer.stop().await;
+    peer.stop().await.expect("no panic");
     assert!(stopped.elapsed() < Duration::from_secs(5), "{:?}", stopped.elapsed());
     link::close(site).await;
 }

@@ -12,6 +12,11 @@
 //! The estimator never runs on Zenoh's threads, and nothing is put on the network from the estimator's.
 //! What the estimate is worth is decided in the `estimator` room; what the fleet shows, on the site.
 
+#![allow(
+    clippy::disallowed_methods,
+    reason = "shells read clocks: here for stamps of arrival and for what is measured"
+)]
+
 mod clock;
 mod counters;
 mod outbox;
@@ -55,6 +60,9 @@ pub enum MachineError {
     /// The source of readings.
     #[error(transparent)]
     Source(#[from] SourceError),
+    /// A mistake of ours; the process had better be started anew.
+    #[error("the estimator has panicked")]
+    Panicked,
     /// The system gives no thread.
     #[error("the thread of the {name} cannot be started: {source}")]
     Thread {
@@ -127,10 +135,13 @@ impl Machine {
 
     /// Ends everything in the order of the flow, so that what was read is still estimated and sent: source,
     /// predictor, updater, outbox, token, session.
-    pub async fn stop(self) -> Report {
+    ///
+    /// # Errors
+    /// [`MachineError::Panicked`] if the estimator did not live to see it.
+    pub async fn stop(self) -> Result<Report, MachineError> {
         let Self { boot, session, token, feed, pipeline, outbox, counters } = self;
         feed.stop().await;
-        pipeline.stop().await;
+        let estimated = pipeline.stop().await;
         let published = outbox.stop().await;
         if let Err(error) = token.undeclare().await {
             tracing::warn!(%error, "the liveliness token could not be taken back");
@@ -138,21 +149,23 @@ impl Machine {
         link::close(session).await;
         let report = counters.report(published);
         tracing::info!(%boot, %report, "the machine's peer has ended");
-        report
+        estimated.map(|()| report)
     }
 }
 
 /// Runs a machine's peer until its source ends or `shutdown` does.
 ///
 /// # Errors
-/// As [`Machine::start`].
+/// As [`Machine::start`] and [`Machine::stop`].
 pub async fn run(options: Options, shutdown: impl Future<Output = ()>) -> Result<Report, MachineError> {
     let mut machine = Machine::start(options).await?;
+    let Machine { feed, pipeline, .. } = &mut machine;
     tokio::select! {
         () = shutdown => {}
-        () = machine.source_ended() => {}
+        () = pipeline.ended() => {}
+        () = feed.ended() => {}
     }
-    Ok(machine.stop().await)
+    machine.stop().await
 }
 
 /// Differs from run to run; the standard library's hasher is seeded by the system.

@@ -6,12 +6,14 @@ use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::thread::JoinHandle;
 use std::time::Instant;
 
+use tokio::sync::oneshot;
+
 use super::MachineError;
 use super::counters::Counters;
 use super::outbox::Outlets;
 use crate::estimator::{Predictor, Solution, Updater};
 use crate::sensors::{Arrival, Sensor};
-use crate::time::Span;
+use crate::time::{Span, Stamp};
 
 /// Readings on the way to the predictor: some two seconds of all sensors. Full, it refuses live readings and
 /// holds played ones up.
@@ -23,10 +25,15 @@ const SOLUTION_QUEUE: usize = 4;
 /// Health is looked at so often, by the machine's stamps.
 const HEALTH_EVERY: Span = Span::from_millis(100);
 
+/// A reading that arrives so much before the last one shows that the clock was set back.
+const CLOCK_SET_BACK: Span = Span::from_millis(1000);
+
 /// The two threads.
 pub(super) struct Pipeline {
     predictor: JoinHandle<()>,
     updater: JoinHandle<()>,
+    /// Its sender lives as long as the predictor's thread, which in turn ends with the updater's.
+    ended: oneshot::Receiver<()>,
 }
 
 /// Where the readings go in; the pipeline ends when the last one is dropped.
@@ -65,16 +72,27 @@ impl Pipeline {
         let updating = Updating { updater, outlets: outlets.clone(), counters: Arc::clone(&counters) };
         let updater = spawn("updater", move || updating.run(&update_input, &solution_sender))?;
         let mut predicting = Predicting { predictor, outlets, counters, latest: None };
-        let predictor = spawn("predictor", move || predicting.run(&input, &update_sender, &solutions))?;
-        Ok((Self { predictor, updater }, inlet))
+        let (alive, ended) = oneshot::channel();
+        let predictor = spawn("predictor", move || {
+            let _alive: oneshot::Sender<()> = alive;
+            predicting.run(&input, &update_sender, &solutions);
+        })?;
+        Ok((Self { predictor, updater, ended }, inlet))
+    }
+
+    /// Waits until the predictor's thread has ended, for whatever reason.
+    pub(super) async fn ended(&mut self) {
+        // Nothing is ever sent: the error is the end.
+        if !self.ended.is_terminated() {
+            let _ = (&mut self.ended).await;
+        }
     }
 
     /// Waits until both threads have worked off what is queued; the inlets must be gone.
-    pub(super) async fn stop(self) {
-        let joined = tokio::task::spawn_blocking(move || (self.predictor.join(), self.updater.join())).await;
-        if !matches!(joined, Ok((Ok(()), Ok(())))) {
-            tracing::error!("a thread of the estimator has panicked");
-        }
+    pub(super) async fn stop(self) -> Result<(), MachineError> {
+        let Self { predictor, updater, .. } = self;
+        let joined = tokio::task::spawn_blocking(move || (predictor.join(), updater.join())).await;
+        if matches!(joined, Ok((Ok(()), Ok(())))) { Ok(()) } else { Err(MachineError::Panicked) }
     }
 }
 
@@ -88,7 +106,7 @@ struct Predicting {
     predictor: Predictor,
     outlets: Outlets,
     counters: Arc<Counters>,
-    latest: Option<crate::time::Stamp>,
+    latest: Option<Stamp>,
 }
 
 impl Predicting {
@@ -99,10 +117,7 @@ impl Predicting {
         solutions: &Receiver<Box<Solution>>,
     ) {
         for mut arrival in input {
-            // Strictly rising, so that the order of arrival can be had from a recording.
-            let after = self.latest.map(|latest| latest + Span::from_nanos(1));
-            arrival.arrival = after.map_or(arrival.arrival, |after| arrival.arrival.max(after));
-            self.latest = Some(arrival.arrival);
+            arrival.arrival = self.in_order(arrival.arrival);
             for solution in solutions.try_iter() {
                 self.predictor.adopt(solution);
             }
@@ -126,6 +141,20 @@ impl Predicting {
             }
             self.outlets.reading(arrival);
         }
+    }
+}
+
+impl Predicting {
+    /// Times of arrival rise strictly, so that their order can be had from a recording, unless the clock was
+    /// set back.
+    fn in_order(&mut self, arrival: Stamp) -> Stamp {
+        let earliest = self.latest.map(|latest| latest + Span::from_nanos(1));
+        let arrival = match earliest {
+            Some(earliest) if arrival < earliest && earliest - arrival < CLOCK_SET_BACK => earliest,
+            _ => arrival,
+        };
+        self.latest = Some(arrival);
+        arrival
     }
 }
 

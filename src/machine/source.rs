@@ -286,7 +286,9 @@ impl Feed {
             Feed::Zenoh(_) => std::future::pending().await,
             Feed::Played { ended, .. } => {
                 // An error says that the thread is gone, which is an end as well.
-                let _ = ended.await;
+                if !ended.is_terminated() {
+                    let _ = ended.await;
+                }
             }
         }
     }
@@ -302,7 +304,7 @@ impl Feed {
             Feed::Played { thread, stop, .. } => {
                 // Full or gone: it was told, or has ended by itself.
                 let _ = stop.try_send(());
-                if tokio::task::spawn_blocking(move || thread.join()).await.is_err() {
+                if !matches!(tokio::task::spawn_blocking(move || thread.join()).await, Ok(Ok(()))) {
                     tracing::error!("the player's thread has panicked");
                 }
             }
