@@ -19,8 +19,15 @@ use crate::time::{Span, Stamp};
 /// Squared innovation (3 degrees of freedom) that is refused: about 7 sigmas along one axis. What is less far
 /// off is left to the robust loss, since vibration and stamps have heavier tails than their sigmas say.
 const INNOVATION_LIMIT: f64 = 50.0;
+/// Squared innovation up to which a fix agrees with the estimate while trust is lost: 1 in 100 good fixes is
+/// further off, and its return only takes longer.
+const RETURN_LIMIT: f64 = 11.3;
 /// Multipath is over after so long; fixes that contradict the estimate for longer are right.
 const CONTRADICTION_MAX: Span = Span::from_millis(8_000);
+/// Error of a fix with fixed ambiguities that is new in each fix, at most, m.
+const WHITE_SIGMA_M: f64 = 0.02;
+/// Slow errors of fixes stay alike for about so long, s.
+const CORRELATION_S: f64 = 3.0;
 /// So many bad fixes in a row are a loss.
 const BAD_IN_A_ROW: u32 = 3;
 /// Without fixes for so long, GNSS is silent.
@@ -87,6 +94,7 @@ pub(super) struct Gate {
     contradicting_since: Option<Stamp>,
     last_used: Option<Stamp>,
     last_heard: Option<Stamp>,
+    period_s: f64,
     previous: Option<Candidate>,
     /// Where the estimate was when the position began to be the same to the bit.
     same_since: Option<(Vec3, Vec3)>,
@@ -103,6 +111,7 @@ impl Gate {
             contradicting_since: None,
             last_used: None,
             last_heard: None,
+            period_s: 0.05,
             previous: None,
             same_since: None,
         }
@@ -124,9 +133,20 @@ impl Gate {
         self.trusted
     }
 
-    /// Sigma to use for a fix: the reported one, not under the floor.
-    pub fn usable_sigma(&self, reported: &Vec3) -> Vec3 {
+    /// Sigma of one fix by itself: the reported one, not under the floor.
+    fn single_sigma(&self, reported: &Vec3) -> Vec3 {
         reported.map(|sigma| sigma.max(self.options.sigma_floor_m))
+    }
+
+    /// Sigma to use for a fix among its neighbours. With fixed ambiguities the error is close to white. What the
+    /// receiver reports beyond that comes from multipath and float ambiguities, which change slowly: n fixes
+    /// in one correlation time say no more than one, so that part of the variance is n times as large.
+    pub fn usable_sigma(&self, reported: &Vec3) -> Vec3 {
+        let alike = 1.0 + 2.0 * CORRELATION_S / self.period_s.max(1.0e-3);
+        self.single_sigma(reported).map(|sigma| {
+            let white = sigma.min(WHITE_SIGMA_M);
+            (white * white + (sigma * sigma - white * white) * alike).sqrt()
+        })
     }
 
     /// Why the reported sigmas are too large, if they are.
@@ -138,7 +158,7 @@ impl Gate {
 
     /// Squared, normalized innovation over its limit.
     pub fn test_ratio(&self, candidate: &Candidate) -> f64 {
-        let sigma = self.usable_sigma(&candidate.sigma);
+        let sigma = self.single_sigma(&candidate.sigma);
         let covariance = candidate.expected_covariance + Mat3::from_diagonal(&sigma.component_mul(&sigma));
         let innovation = candidate.position - candidate.expected;
         let solved = covariance.cholesky().map(|factor| factor.solve(&innovation));
@@ -147,6 +167,10 @@ impl Gate {
 
     /// Judges the fix of the left antenna.
     pub fn judge(&mut self, candidate: Candidate) -> Judgement {
+        if let Some(heard) = self.last_heard {
+            // Bounded: a fix after a silence is not a change of the receiver's rate.
+            self.period_s += 0.1 * (candidate.stamp.seconds_since(heard).clamp(0.01, 1.0) - self.period_s);
+        }
         self.last_heard = Some(candidate.stamp);
         let test_ratio = self.test_ratio(&candidate);
         let (cause, refusal) = self.find_fault(&candidate, test_ratio).unzip();
@@ -174,7 +198,8 @@ impl Gate {
         if let Some(reason) = self.too_fast(candidate) {
             return Some((GnssState::Jumping, reason));
         }
-        if test_ratio <= 1.0 {
+        let limit = if self.trusted { 1.0 } else { RETURN_LIMIT / INNOVATION_LIMIT };
+        if test_ratio <= limit {
             return None;
         }
         if !self.trusted {
@@ -185,7 +210,8 @@ impl Gate {
             }
         }
         let off = (candidate.position - candidate.expected).norm();
-        let reason = format!("is {off:.2} m from where it is expected, {test_ratio:.1} times the limit");
+        let reason =
+            format!("is {off:.2} m from where it is expected, {:.1} times the limit", test_ratio / limit);
         Some((GnssState::Jumping, reason))
     }
 
@@ -298,11 +324,11 @@ mod tests {
     fn reported_sigma_over_the_limit_loses_trust_and_ten_good_fixes_bring_it_back() {
         let mut gate = trusted();
         gate.judge(candidate(0, near(0, 0.0), 0.01));
-        let turns: Vec<_> = (1..=5).map(|k| gate.judge(candidate(k, near(k, 0.05), 0.5)).turn).collect();
+        let turns: Vec<_> = (1..=5).map(|k| gate.judge(candidate(k, near(k, 0.04), 0.5)).turn).collect();
         assert_eq!(turns[2], Some(Turn::Lost { since: Stamp::from_nanos(0) }));
         assert_eq!(turns.iter().flatten().count(), 1);
         assert_eq!(gate.state(), GnssState::Degraded);
-        let used: Vec<_> = (6..=16).map(|k| gate.judge(candidate(k, near(k, 0.05), 0.01)).used).collect();
+        let used: Vec<_> = (6..=16).map(|k| gate.judge(candidate(k, near(k, 0.04), 0.01)).used).collect();
         assert_eq!(used.iter().position(|used| *used), Some(9));
     }
 

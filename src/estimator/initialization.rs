@@ -196,12 +196,13 @@ impl Initializer {
             count: 0.0,
             length_s: 0.0,
         });
-        let rest = window.iter().filter(|sample| sample.stamp > begun.until).fold(begun, |rest, sample| Rest {
-            rate_sum: rest.rate_sum + sample.angular_rate,
-            force_sum: rest.force_sum + sample.specific_force,
-            count: rest.count + 1.0,
-            ..rest
-        });
+        let rest =
+            window.iter().filter(|sample| sample.stamp > begun.until).fold(begun, |rest, sample| Rest {
+                rate_sum: rest.rate_sum + sample.angular_rate,
+                force_sum: rest.force_sum + sample.specific_force,
+                count: rest.count + 1.0,
+                ..rest
+            });
         let rest = Rest { until: end, length_s: rest.length_s + end.seconds_since(begun.until), ..rest };
         self.rest = Some(rest);
         let (rate, force) = (rest.rate_sum / rest.count, rest.force_sum / rest.count);

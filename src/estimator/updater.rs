@@ -20,7 +20,7 @@ use crate::state::{Event, EventKind, GnssState, Health, Mode, NavState, Severity
 use crate::time::{Span, Stamp};
 
 /// Huber's threshold of fixes that pass the gate, in sigmas.
-const HUBER_THRESHOLD: f64 = 3.0;
+const HUBER_THRESHOLD: f64 = 5.0;
 /// A measurement this far ahead of the IMU has a wrong clock.
 const AHEAD_MAX: Span = Span::from_millis(1_000);
 /// Without measurements, a node is set so often, so that links stay short.
