@@ -10,6 +10,10 @@ pub mod factors;
 pub mod frames;
 pub mod import;
 pub mod lie;
+#[cfg(feature = "shells")]
+pub mod link;
+#[cfg(feature = "shells")]
+pub mod machine;
 pub mod preintegration;
 pub mod record;
 pub mod replay;

@@ -6,6 +6,10 @@
 mod check;
 mod estimate;
 mod evaluate;
+#[cfg(feature = "shells")]
+mod logging;
+#[cfg(feature = "shells")]
+mod machine;
 mod progress;
 mod realtime;
 mod simulate;
@@ -31,6 +35,8 @@ enum Command {
     Estimate(estimate::Arguments),
     Evaluate(evaluate::Arguments),
     Check(check::Arguments),
+    #[cfg(feature = "shells")]
+    Machine(machine::Arguments),
 }
 
 /// How a command that did not fail has ended.
@@ -52,6 +58,8 @@ pub fn main() -> ExitCode {
         Command::Estimate(arguments) => estimate::run(arguments),
         Command::Evaluate(arguments) => evaluate::run(arguments).map(|()| Outcome::Done),
         Command::Check(arguments) => Ok(check::run(&arguments)),
+        #[cfg(feature = "shells")]
+        Command::Machine(arguments) => machine::run(arguments).map(|()| Outcome::Done),
     };
     match result {
         Ok(Outcome::Done) => ExitCode::SUCCESS,

@@ -195,6 +195,9 @@ pub struct Link {
     pub site: String,
     /// Zenoh endpoints to dial, such as `tcp/127.0.0.1:7447`.
     pub connect: Vec<String>,
+    /// Zenoh endpoints on which drivers may publish readings, such as `tcp/127.0.0.1:7448`; whoever reaches
+    /// them is believed.
+    pub listen: Vec<String>,
     /// A link with no byte for so long is dead, ms.
     pub lease_ms: u64,
 }
@@ -255,7 +258,12 @@ impl Default for Publish {
 
 impl Default for Link {
     fn default() -> Self {
-        Self { site: "site".to_owned(), connect: vec!["tcp/127.0.0.1:7447".to_owned()], lease_ms: 2_000 }
+        Self {
+            site: "site".to_owned(),
+            connect: vec!["tcp/127.0.0.1:7447".to_owned()],
+            listen: Vec::new(),
+            lease_ms: 2_000,
+        }
     }
 }
 
