@@ -2,6 +2,7 @@
 //! lets go. `src/README.md` is the map of the rooms; imports only look down.
 
 pub mod config;
+pub mod fleet;
 pub mod frames;
 pub mod lie;
 pub mod sensors;
