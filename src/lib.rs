@@ -8,3 +8,4 @@ pub mod lie;
 pub mod sensors;
 pub mod state;
 pub mod time;
+pub mod wire;

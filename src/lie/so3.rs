@@ -9,6 +9,9 @@ use super::{Mat3, Vec3};
 /// Below this angle (rad) series replace the closed forms; their first neglected term is under 1e-16.
 const SMALL_ANGLE: f64 = 1e-4;
 
+/// So far from 1 a quaternion's length may be by rounding alone.
+const ROUNDED_LENGTH: f64 = 4.0 * f64::EPSILON;
+
 /// A rotation: maps vectors written in the child frame into the parent frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct So3 {
@@ -27,12 +30,17 @@ impl So3 {
     }
 
     /// From quaternion parts of any positive length, scalar last as in TUM files and ROS messages.
+    /// Parts that are a rotation but for rounding are kept to the bit, so that what was written comes back.
     /// `None` if they are not finite or their length is under 1e-6.
     pub fn from_xyzw(x: f64, y: f64, z: f64, w: f64) -> Option<Self> {
         let quaternion = Quaternion::new(w, x, y, z);
         let length = quaternion.norm();
-        (length.is_finite() && length > 1e-6)
-            .then(|| Self { quaternion: UnitQuaternion::from_quaternion(quaternion) })
+        let unit = if (length - 1.0).abs() < ROUNDED_LENGTH {
+            UnitQuaternion::new_unchecked(quaternion)
+        } else {
+            UnitQuaternion::from_quaternion(quaternion)
+        };
+        (length.is_finite() && length > 1e-6).then_some(Self { quaternion: unit })
     }
 
     /// Quaternion parts, scalar last, with a scalar that is never negative.
