@@ -5,7 +5,10 @@ pub mod config;
 pub mod fleet;
 pub mod frames;
 pub mod lie;
+pub mod record;
 pub mod sensors;
+#[cfg(feature = "shells")]
+pub mod site;
 pub mod state;
 pub mod time;
 pub mod wire;

@@ -23,8 +23,8 @@ mod view;
 use std::collections::BTreeMap;
 
 pub use view::{
-    Ellipse95, FleetView, HealthView, LinkView, MachineView, PoseView, Presence, Severity, SiteView, UtcTime,
-    WorldView,
+    Ellipse95, FleetView, HealthView, LinkView, MachineView, PoseView, Presence, SIGMAS_95, Severity,
+    SiteView, UtcTime, WorldView,
 };
 
 use crate::frames::geodesy::{Geodetic, SiteFrame};

@@ -13,7 +13,7 @@ use crate::time::Stamp;
 
 /// Half axes of the 95 % ellipse in standard deviations: the root of the 95 % quantile of χ² with two degrees
 /// of freedom, √(-2 ln 0.05).
-const SIGMAS_95: f64 = 2.447_746_830_680_816;
+pub const SIGMAS_95: f64 = 2.447_746_830_680_816;
 /// Semi-major axis of the 95 % ellipse up to which a position without GNSS is called a warning, m.
 const HOLDING_BAD_ABOVE_M: f64 = 0.10;
 
