@@ -29,10 +29,10 @@ pub struct Arguments {
     #[arg(long, value_name = "DIR", default_value = "holdfast-data")]
     pub data: PathBuf,
     /// End by itself after so many seconds
-    #[arg(long, value_name = "S", value_parser = positive_seconds)]
+    #[arg(long, value_name = "S", value_parser = seconds)]
     pub duration: Option<f64>,
     /// Simulated seconds in a second
-    #[arg(long, value_name = "X", default_value_t = 1.0, value_parser = positive_seconds)]
+    #[arg(long, value_name = "X", default_value_t = 1.0, value_parser = speed)]
     pub speed: f64,
 }
 
@@ -53,14 +53,18 @@ const START_TIMEOUT: Duration = Duration::from_secs(30);
 /// A process that was asked to end has so long.
 const END_TIMEOUT: Duration = Duration::from_secs(15);
 
-fn positive_seconds(text: &str) -> Result<f64, String> {
-    let value: f64 = text.parse().map_err(|_| format!("\"{text}\" is not a number"))?;
-    // The upper end is that of what a timer takes.
-    if value > 0.0 && value <= 1e9 {
-        Ok(value)
-    } else {
-        Err(format!("is {value}, must be above 0 and up to 1e9"))
-    }
+/// Up to what a timer takes.
+fn seconds(text: &str) -> Result<f64, String> {
+    within(text, 0.0, 1e9)
+}
+
+fn speed(text: &str) -> Result<f64, String> {
+    within(text, 0.01, 1000.0)
+}
+
+fn within(text: &str, low: f64, high: f64) -> Result<f64, String> {
+    let value = text.parse().ok().filter(|value| (low..=high).contains(value));
+    value.ok_or_else(|| format!("must be a number from {low} to {high}"))
 }
 
 /// Runs the command.
@@ -136,17 +140,21 @@ async fn start(family: &mut Family, folder: &Path, arguments: &Arguments) -> Res
     println!("zenoh {endpoint}");
     println!("data {}", arguments.data.display());
 
-    for file in MACHINE_FILES {
-        let path = folder.join(file);
-        connect(&path, &endpoint)?;
+    for id in machine_ids(folder)? {
         let mut machine = own_command()?;
-        machine.arg("machine").arg("--config").arg(&path);
-        machine.arg("--scenario").arg(folder.join(SCENARIO_FILE));
-        machine.arg("--speed").arg(arguments.speed.to_string());
-        let name = config::load::<config::Machine>(&path)?.id;
-        family.adopt(&format!("machine {name}"), machine.stdout(Stdio::null()).spawn()?);
+        machine.arg("machine").arg("--scenario").arg(folder.join(SCENARIO_FILE)).arg("--machine").arg(&id);
+        machine.arg("--connect").arg(&endpoint).arg("--speed").arg(arguments.speed.to_string());
+        family.adopt(&format!("machine {id}"), machine.stdout(Stdio::null()).spawn()?);
     }
     Ok(())
+}
+
+fn machine_ids(folder: &Path) -> Result<Vec<String>, Box<dyn Error>> {
+    let load = |file: &str| config::load::<config::Machine>(&folder.join(file));
+    Ok(MACHINE_FILES
+        .into_iter()
+        .map(|file| load(file).map(|machine| machine.id))
+        .collect::<Result<_, _>>()?)
 }
 
 /// What the site says on its next line, after `prefix`.
@@ -173,14 +181,6 @@ fn write_files(folder: &Path, data: &Path) -> Result<(), Box<dyn Error>> {
     site.zenoh.listen = vec!["tcp/127.0.0.1:0".to_owned()];
     site.record.directory = data.to_owned();
     fs::write(&path, toml::to_string(&site)?)?;
-    Ok(())
-}
-
-/// Tells a machine file where the site is.
-fn connect(path: &Path, endpoint: &str) -> Result<(), Box<dyn Error>> {
-    let mut machine: config::Machine = config::load(path)?;
-    machine.link.connect = vec![endpoint.to_owned()];
-    fs::write(path, toml::to_string(&machine)?)?;
     Ok(())
 }
 
@@ -269,6 +269,7 @@ async fn keep(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::simulate::Scenario;
 
     #[test]
     fn embedded_files_are_valid_and_fit_together() {
@@ -289,17 +290,14 @@ mod tests {
     }
 
     #[test]
-    fn written_files_tell_machines_where_the_site_is() {
+    fn written_files_name_the_machines_and_where_to_record() {
         let data = std::env::temp_dir().join(format!("holdfast-demo-files-{}", std::process::id()));
         let folder = data.join("demo");
         write_files(&folder, &data).expect("written");
         let site: config::Site = config::load(&folder.join(SITE_FILE)).expect("valid");
         assert_eq!(site.record.directory, data);
-        for file in MACHINE_FILES {
-            connect(&folder.join(file), "tcp/127.0.0.1:4711").expect("written");
-            let machine: config::Machine = config::load(&folder.join(file)).expect("valid");
-            assert_eq!(machine.link.connect, ["tcp/127.0.0.1:4711"]);
-        }
+        let scenario = Scenario::load(&folder.join(SCENARIO_FILE)).expect("valid");
+        assert_eq!(scenario.machine_ids(), machine_ids(&folder).expect("valid"));
         fs::remove_dir_all(data).expect("removed");
     }
 }

@@ -4,7 +4,10 @@ use std::collections::{BTreeSet, VecDeque};
 
 use super::link::{ClockOffset, Gaps, Rate};
 use super::view::{self, HealthView, LinkView, MachineView, PoseView, UtcTime};
-use super::{HEALTH_AGE_MAX, MachineReport, POSE_AGE_MAX, PoseSample, Presence, Publication, Receipt, Topic};
+use super::{
+    HEALTH_AGE_MAX, MachineReport, ORIGIN_OFF_MAX_M, POSE_AGE_MAX, PoseSample, Presence, Publication,
+    Receipt, Severity, Topic,
+};
 use crate::frames::geodesy::SiteFrame;
 use crate::frames::{Base, Odom, Pose};
 use crate::state::Mode;
@@ -186,8 +189,13 @@ impl Machine {
         });
         let silent_s = now.seconds_since(self.presence_since).max(0.0);
         let current = report.is_some_and(|report| report.boot == self.boot);
-        let (state_word, severity) =
+        let (mut state_word, mut severity) =
             view::state_word(self.presence, silent_s, health.as_ref().filter(|_| current), pose.as_ref());
+        let origin_off_m = report.map_or(0.0, |report| frame.to_enu(report.value.origin).norm());
+        if self.presence == Presence::Online && origin_off_m > ORIGIN_OFF_MAX_M {
+            state_word = format!("WRONG ORIGIN: {origin_off_m:.3} m from the site's");
+            severity = Severity::Bad;
+        }
         MachineView {
             id: id.to_owned(),
             name: report

@@ -39,6 +39,8 @@ use machine::Machine;
 pub const MACHINES_MAX: usize = 1000;
 /// A pose older than this is old.
 pub const POSE_AGE_MAX: Span = Span::from_millis(500);
+/// A machine's origin may be so far from the site's, m: less than its position is good for.
+pub const ORIGIN_OFF_MAX_M: f64 = 0.001;
 /// A health message older than this is old.
 pub const HEALTH_AGE_MAX: Span = Span::from_millis(2_500);
 
@@ -101,6 +103,8 @@ pub struct PoseSample {
 pub struct MachineReport {
     /// For people.
     pub name: String,
+    /// Where the machine ties its world frame to the earth: must be where the site does.
+    pub origin: Geodetic,
     /// Where the cabin IMU sits.
     pub cabin_from_imu: Pose<Cabin, Imu>,
     /// Drift of the odom frame, once known.

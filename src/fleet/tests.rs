@@ -56,6 +56,7 @@ fn health(mode: Mode, gnss: GnssState) -> Health {
 fn report(health: Health) -> MachineReport {
     MachineReport {
         name: "Number one".to_owned(),
+        origin: Geodetic { latitude_deg: 47.48, longitude_deg: 8.5, altitude_m: 475.0 },
         cabin_from_imu: Pose::identity(),
         world_from_odom: None,
         health,
@@ -264,7 +265,7 @@ fn state_word_says_what_holds_the_position_and_for_how_long() {
         start_stamp_ns: at(0.0).as_nanos(),
         end_stamp_ns: None,
         cause: GnssState::Degraded,
-        travelled_m: 3.14,
+        travelled_m: 3.12,
         jump_m: None,
     };
     let holding = Health { outage: Some(outage.clone()), ..health(Mode::Fallback, GnssState::Degraded) };
@@ -278,6 +279,20 @@ fn state_word_says_what_holds_the_position_and_for_how_long() {
     let ended = OutageReport { end_stamp_ns: Some(at(40.0).as_nanos()), ..outage };
     let just_lost = Health { outage: Some(ended), ..health(Mode::Fallback, GnssState::Silent) };
     assert_eq!(word(just_lost, 4).0, "HOLDING 2.4 cm");
+}
+
+#[test]
+fn machine_that_ties_its_world_elsewhere_is_not_to_be_relied_on() {
+    let mut fleet = fleet();
+    fleet.announce("a", BOOT, at(0.0));
+    send_pose(&mut fleet, 0, BOOT, at(0.0));
+    let mut elsewhere = report(health(Mode::Main, GnssState::Fixed));
+    elsewhere.origin.altitude_m += 12.5;
+    fleet.receive("a", Topic::Health, &publication(0, BOOT, at(0.0)), at(0.0));
+    fleet.report("a", elsewhere, at(0.0));
+    let view = view(&mut fleet, at(0.1));
+    assert_eq!(view.state_word, "WRONG ORIGIN: 12.500 m from the site's");
+    assert_eq!(view.severity, Severity::Bad);
 }
 
 #[test]

@@ -209,6 +209,7 @@ fn report(report: wire::MachineReport) -> Result<fleet::MachineReport, WireError
     };
     Ok(fleet::MachineReport {
         name: report.name,
+        origin: report.world.into(),
         cabin_from_imu: report.cabin_from_imu.pose().ok_or_else(|| no_motion("cabin_from_imu"))?,
         world_from_odom,
         health: report.health,

@@ -193,10 +193,11 @@ impl Session {
                 self.fail(error.to_string());
             }
             let now = self.clock.now();
-            if self.writer.is_none() && now >= self.retry_at {
-                if let Err(message) = self.open(now) {
-                    self.fail(message);
-                }
+            if self.writer.is_none()
+                && now >= self.retry_at
+                && let Err(message) = self.open(now)
+            {
+                self.fail(message);
             }
             if now >= self.publish_at {
                 self.publish(now);

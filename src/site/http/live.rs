@@ -10,6 +10,7 @@ use std::time::Duration;
 use axum::extract::State;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
 use axum::extract::ws::{CloseFrame, Message, WebSocket, WebSocketUpgrade, close_code};
+use axum::http::StatusCode;
 use axum::response::Response;
 use serde::{Deserialize, Serialize};
 
@@ -17,13 +18,15 @@ use super::Shared;
 use super::problem::Problem;
 use crate::fleet::{FleetView, MachineView};
 use crate::site::aggregator::{FRAME_RATE_HZ, Frame, Revision};
-use crate::site::counters::add;
+use crate::site::counters::{add, get};
 use crate::site::ended;
 
 /// Rate of a client that asks for none, Hz.
 const RATE_DEFAULT_HZ: f64 = 5.0;
 /// The slowest rate, Hz.
 const RATE_MIN_HZ: f64 = 0.1;
+/// More clients at once are refused.
+const CLIENTS_MAX: u64 = 256;
 /// A client that takes no bytes for so long is let go.
 const SEND_TIMEOUT: Duration = Duration::from_secs(10);
 /// Also when nothing changed a delta comes, so that a client knows that the server is there: frames.
@@ -88,6 +91,10 @@ pub(super) async fn live(
     upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
 ) -> Result<Response, Problem> {
     let upgrade = upgrade.map_err(|rejection| Problem::new(rejection.status(), rejection.body_text()))?;
+    if get(&shared.counters.ws_clients) >= CLIENTS_MAX {
+        let detail = format!("{CLIENTS_MAX} live clients are connected already");
+        return Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, detail));
+    }
     Ok(upgrade.max_message_size(REQUEST_BYTES_MAX).on_upgrade(move |socket| serve(socket, shared)))
 }
 
