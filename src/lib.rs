@@ -3,16 +3,25 @@
 
 pub mod cli;
 pub mod config;
+pub mod estimator;
 pub mod export;
+pub mod factors;
 pub mod fleet;
 pub mod frames;
 pub mod import;
 pub mod lie;
+#[cfg(feature = "shells")]
+pub mod link;
+#[cfg(feature = "shells")]
+pub mod machine;
+pub mod preintegration;
 pub mod record;
+pub mod replay;
 pub mod sensors;
 pub mod simulate;
 #[cfg(feature = "shells")]
 pub mod site;
+pub mod smoother;
 pub mod state;
 pub mod time;
 pub mod wire;

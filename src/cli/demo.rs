@@ -13,6 +13,7 @@ use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::{mpsc, oneshot};
 use tokio::task::JoinHandle;
 
+use super::logging;
 use crate::config;
 
 /// Show two excavators on a site, simulated
@@ -73,6 +74,7 @@ fn within(text: &str, low: f64, high: f64) -> Result<f64, String> {
 /// The files cannot be written, or the site does not start: its own message is on stderr then.
 pub fn run(arguments: Arguments) -> Result<(), Box<dyn Error>> {
     // One thread, the main one: children are told to end when the thread that started them does.
+    logging::start();
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(demo(&arguments))
 }

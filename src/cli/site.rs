@@ -7,6 +7,7 @@ use std::path::PathBuf;
 
 use tokio::signal::unix::{SignalKind, signal};
 
+use super::logging;
 use crate::config;
 use crate::site::Site;
 
@@ -35,6 +36,7 @@ pub fn run(arguments: Arguments) -> Result<(), Box<dyn Error>> {
     let mut config: config::Site = config::load(&arguments.config)?;
     config.http.listen = arguments.listen.unwrap_or(config.http.listen);
     config.record.directory = arguments.data.unwrap_or(config.record.directory);
+    logging::start();
     // Zenoh refuses to run on a runtime of one thread.
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(2)

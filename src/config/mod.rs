@@ -57,6 +57,8 @@ impl fmt::Display for Violation {
     }
 }
 
+impl std::error::Error for Violation {}
+
 /// A configuration that can check its values beyond their types.
 pub trait Checked: DeserializeOwned {
     /// The first value out of its range.

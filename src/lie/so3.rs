@@ -86,7 +86,7 @@ impl So3 {
             (1.0 - angle_squared / 8.0, 0.5 - angle_squared / 48.0)
         } else {
             let angle = angle_squared.sqrt();
-            let (sin, cos) = (0.5 * angle).sin_cos();
+            let (sin, cos) = libm::sincos(0.5 * angle);
             (cos, sin / angle)
         };
         let q = Quaternion::new(real, imaginary * phi.x, imaginary * phi.y, imaginary * phi.z);
@@ -103,7 +103,7 @@ impl So3 {
         let factor = if sine < 0.5 * SMALL_ANGLE {
             2.0 / real * (1.0 - sine * sine / (3.0 * real * real))
         } else {
-            2.0 * sine.atan2(real) / sine
+            2.0 * libm::atan2(sine, real) / sine
         };
         vector * factor
     }
@@ -141,7 +141,8 @@ impl So3 {
             (0.5 - angle_squared / 24.0, 1.0 / 6.0 - angle_squared / 120.0)
         } else {
             let angle = angle_squared.sqrt();
-            ((1.0 - angle.cos()) / angle_squared, (angle - angle.sin()) / (angle_squared * angle))
+            let (sin, cos) = libm::sincos(angle);
+            ((1.0 - cos) / angle_squared, (angle - sin) / (angle_squared * angle))
         };
         Mat3::identity() - hat_phi * first + hat_phi * hat_phi * second
     }
@@ -155,7 +156,8 @@ impl So3 {
         } else {
             let angle = angle_squared.sqrt();
             let half = 0.5 * angle;
-            (1.0 - half * half.cos() / half.sin()) / angle_squared
+            let (sin, cos) = libm::sincos(half);
+            (1.0 - half * cos / sin) / angle_squared
         };
         Mat3::identity() + hat_phi * 0.5 + hat_phi * hat_phi * second
     }

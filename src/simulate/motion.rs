@@ -105,7 +105,7 @@ impl Motion {
             [heading, pitch + program.pitch.at(time_s), roll + program.roll.at(time_s)],
         );
         let cabin_turn = program.cabin_turn.at(time_s);
-        let cabin = base.mounted(&self.base_from_cabin).turning(cabin_turn);
+        let cabin = base.turning(cabin_turn).mounted(&self.base_from_cabin);
         Bodies { base, cabin, cabin_turn }
     }
 }

@@ -11,11 +11,15 @@ use super::clock::SiteClock;
 use super::counters::{Counters, add};
 use super::{SiteError, recorder, zenoh_error};
 use crate::config;
+use crate::link;
 use crate::time::Stamp;
 use crate::wire::{Attachment, Key, Topic, WireError, alive_selector};
 
 /// No message of ours is longer; longer ones are dropped before they are copied.
 const PAYLOAD_BYTES_MAX: usize = 1 << 20;
+
+/// What machines are told: a link without a byte from the site for so long is dead.
+const LEASE_MS: u64 = 2_000;
 
 /// A publication of a machine, as it arrived.
 #[derive(Clone, Debug)]
@@ -66,24 +70,11 @@ pub(super) struct Inlet {
 
 /// Opens the session and waits until its endpoints listen. Returns them with the ports that the system chose.
 pub(super) async fn open(config: &config::Site) -> Result<(zenoh::Session, Vec<String>), SiteError> {
-    let settings = settings(config).map_err(|error| zenoh_error(config, error))?;
-    let session = zenoh::open(settings).await.map_err(|error| zenoh_error(config, error))?;
+    let settings =
+        link::site_config(&config.zenoh.listen, LEASE_MS).map_err(|error| zenoh_error(config, error))?;
+    let session = link::open(settings).await.map_err(|error| zenoh_error(config, error))?;
     let endpoints = session.info().locators().await.iter().map(ToString::to_string).collect();
     Ok((session, endpoints))
-}
-
-fn settings(config: &config::Site) -> Result<zenoh::Config, zenoh::Error> {
-    let mut settings = zenoh::Config::default();
-    let endpoints = serde_json::to_string(&config.zenoh.listen)?;
-    settings.insert_json5("mode", "\"peer\"")?;
-    settings.insert_json5("listen/endpoints", &endpoints)?;
-    settings.insert_json5("connect/endpoints", "[]")?;
-    settings.insert_json5("scouting/multicast/enabled", "false")?;
-    settings.insert_json5("scouting/gossip/enabled", "false")?;
-    settings.insert_json5("transport/unicast/max_sessions", "2000")?;
-    settings.insert_json5("transport/unicast/accept_pending", "1000")?;
-    settings.insert_json5("transport/link/tx/lease", "2000")?;
-    Ok(settings)
 }
 
 impl Inlet {

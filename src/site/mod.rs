@@ -28,6 +28,7 @@ use tokio::task::JoinHandle;
 
 use crate::config;
 use crate::fleet::{Fleet, SiteDescription};
+use crate::link;
 use catalogue::Catalogue;
 use clock::SiteClock;
 use counters::Counters;
@@ -46,7 +47,7 @@ const STOP_TIMEOUT: Duration = Duration::from_secs(5);
 pub enum SiteError {
     /// The configuration asks for what is not allowed.
     #[error("{0}")]
-    Refused(config::Violation),
+    Refused(#[from] config::Violation),
     /// The address of page and API cannot be used.
     #[error("cannot listen on http://{address}/: {source}{}", hint(source))]
     Listen {
@@ -97,7 +98,7 @@ impl Site {
     /// # Errors
     /// [`SiteError`]: an address is taken or refused, the directory cannot be written.
     pub async fn start(config: &config::Site) -> Result<Self, SiteError> {
-        config.http.check().map_err(SiteError::Refused)?;
+        config.http.check()?;
         let listen = config.http.listen;
         let listener = TcpListener::bind(listen)
             .await
@@ -179,11 +180,7 @@ impl Site {
                 abort.abort();
             }
         }
-        match tokio::time::timeout(STOP_TIMEOUT, self.session.close()).await {
-            Ok(Ok(())) => {}
-            Ok(Err(error)) => tracing::warn!("Zenoh did not close its session: {error}"),
-            Err(_) => tracing::warn!("Zenoh did not close its session in time"),
-        }
+        link::close(self.session).await;
     }
 }
 
@@ -193,6 +190,6 @@ async fn ended(stopped: &mut watch::Receiver<bool>) {
     let _ = stopped.wait_for(|stopped| *stopped).await;
 }
 
-fn zenoh_error(config: &config::Site, error: zenoh::Error) -> SiteError {
+fn zenoh_error(config: &config::Site, error: impl std::fmt::Display) -> SiteError {
     SiteError::Zenoh { endpoints: config.zenoh.listen.join(", "), message: error.to_string() }
 }
