@@ -14,6 +14,15 @@ export default defineConfig({
     // The map library is one big file by nature, and has a chunk of its own.
     chunkSizeWarningLimit: 1300,
     reportCompressedSize: false,
+    rolldownOptions: {
+      output: {
+        // The map's worker is a module; every server sends `.js` as one.
+        assetFileNames: ({ names }) =>
+          names.some((name) => name.endsWith(".mjs"))
+            ? "assets/[name]-[hash].js"
+            : "assets/[name]-[hash][extname]",
+      },
+    },
   },
   oxc: { jsx: { runtime: "automatic", importSource: "preact" } },
   server: {

@@ -54,7 +54,9 @@ function sensor(name, rate_hz, seconds, refused = 0, last_refusal = null) {
 function machine(id, now_ms) {
   const phase = id === "a" ? "fixed" : phaseNow(now_ms);
   const phaseStart_ms =
-    options.phase === undefined ? started_ms + Math.floor((now_ms - started_ms) / 15_000) * 15_000 : started_ms;
+    options.phase === undefined
+      ? started_ms + Math.floor((now_ms - started_ms) / 15_000) * 15_000
+      : started_ms;
   const inPhase_s = (now_ms - phaseStart_ms) / 1000;
   const frozen = phase === "lost" || phase === "stale";
   const motion_s = ((frozen ? phaseStart_ms : now_ms) - started_ms) / 1000;
@@ -63,7 +65,8 @@ function machine(id, now_ms) {
     id === "a"
       ? [6 + 5 * Math.sin(0.11 * motion_s), 3 + 3 * Math.sin(0.22 * motion_s), 0.4]
       : [-9 + 4 * Math.cos(0.13 * motion_s), -4 + 2 * Math.sin(0.13 * motion_s), -0.2];
-  const chassisHeading = id === "a" ? 70 + 25 * Math.sin(0.11 * motion_s) : 250 + 10 * Math.sin(0.2 * motion_s);
+  const chassisHeading =
+    id === "a" ? 70 + 25 * Math.sin(0.11 * motion_s) : 250 + 10 * Math.sin(0.2 * motion_s);
   const heading = chassisHeading + 80 * Math.sin(wave * motion_s);
   const angle = (heading * Math.PI) / 180;
   const position = [chassis[0] + 0.5 * Math.sin(angle), chassis[1] + 0.5 * Math.cos(angle), chassis[2] + 1.5];
@@ -102,6 +105,7 @@ function machine(id, now_ms) {
             latitude_deg: WORLD.latitude_deg + position[1] / 111_195,
             longitude_deg: WORLD.longitude_deg + position[0] / 75_350,
             altitude_m: WORLD.altitude_m + position[2],
+            cabin_position_m: [chassis[0], chassis[1], chassis[2] + 1],
             heading_deg: ((heading % 360) + 360) % 360,
             heading_sigma_deg: holding ? 0.21 : 0.09,
             chassis_heading_deg: chassisHeading % 360,
@@ -124,7 +128,13 @@ function machine(id, now_ms) {
         sensors: [
           sensor("imu", 100, seconds),
           sensor("base_imu", 100, seconds),
-          sensor("gnss_left", holding ? 0 || 0.1 : 20, seconds, 3, "stamp 12.05 s is not after the one before, 12.05 s"),
+          sensor(
+            "gnss_left",
+            holding ? 0 || 0.1 : 20,
+            seconds,
+            3,
+            "stamp 12.05 s is not after the one before, 12.05 s",
+          ),
           sensor("gnss_right", 20, seconds),
           sensor("lidar_odometry", 5, seconds),
           sensor("cabin_turn", 100, seconds),
@@ -153,7 +163,13 @@ function machine(id, now_ms) {
         accel_bias: [0.01, 0.02, -0.05],
       },
     },
-    link: { pose_rate_hz: frozen ? 0 : 99.8, received: Math.round(100 * seconds), missed: 2, clock_offset_s: 0.0012 },
+    link: {
+      pose_rate_hz: frozen ? 0 : 99.8,
+      received: Math.round(100 * seconds),
+      missed: 2,
+      refused: 0,
+      clock_offset_s: 0.0012,
+    },
   };
 }
 
@@ -244,7 +260,8 @@ server.on("upgrade", (request, socket) => {
 function textFrame(text) {
   const body = Buffer.from(text);
   if (body.length < 126) return Buffer.concat([Buffer.from([0x81, body.length]), body]);
-  if (body.length < 65_536) return Buffer.concat([Buffer.from([0x81, 126, body.length >> 8, body.length & 255]), body]);
+  if (body.length < 65_536)
+    return Buffer.concat([Buffer.from([0x81, 126, body.length >> 8, body.length & 255]), body]);
   const head = Buffer.alloc(10);
   head.set([0x81, 127]);
   head.writeBigUInt64BE(BigInt(body.length), 2);

@@ -137,6 +137,7 @@ const pose = object<PoseView>({
   latitude_deg: number,
   longitude_deg: number,
   altitude_m: number,
+  cabin_position_m: vector3,
   heading_deg: number,
   heading_sigma_deg: number,
   chassis_heading_deg: nullable(number),
@@ -184,6 +185,7 @@ const link = object<LinkView>({
   pose_rate_hz: number,
   received: number,
   missed: number,
+  refused: number,
   clock_offset_s: nullable(number),
 });
 
@@ -192,7 +194,7 @@ export const checkMachine = object<MachineView>({
   name: text,
   presence: oneOf(PRESENCES),
   presence_since: time,
-  boot: nullable(text),
+  boot: text,
   state_word: text,
   severity: oneOf(SEVERITIES),
   pose: nullable(pose),

@@ -57,10 +57,13 @@ export interface Ellipse95 {
 export interface PoseView {
   stamp: string;
   age_s: number;
+  /** Of the cabin IMU: the body whose position is estimated; east, north, up. */
   position_m: Vector3;
   latitude_deg: number;
   longitude_deg: number;
   altitude_m: number;
+  /** A point of the axis about which the cabin turns: where the machine is drawn. */
+  cabin_position_m: Vector3;
   /** Of the cabin's x axis, clockwise from north. */
   heading_deg: number;
   heading_sigma_deg: number;
@@ -113,6 +116,7 @@ export interface LinkView {
   pose_rate_hz: number;
   received: number;
   missed: number;
+  refused: number;
   clock_offset_s: number | null;
 }
 
@@ -121,7 +125,8 @@ export interface MachineView {
   name: string;
   presence: Presence;
   presence_since: string;
-  boot: string | null;
+  /** Drawn at each start of the machine's program; empty if not known yet. */
+  boot: string;
   /** One plain word for people, chosen by the site. */
   state_word: string;
   severity: Severity;

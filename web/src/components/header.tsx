@@ -22,7 +22,9 @@ export function Header() {
       </span>
       <span class="site-time" title={isoTitle(state)}>
         {text.page.siteTime}{" "}
-        <time class={state.link.phase === "open" ? "" : "stale-text"}>{format.timeOfDay(state.siteTime_ms)}</time>
+        <time class={state.link.phase === "open" ? "" : "stale-text"}>
+          {format.timeOfDay(state.siteTime_ms)}
+        </time>
       </span>
     </header>
   );

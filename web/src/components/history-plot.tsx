@@ -68,9 +68,18 @@ function options(
   number: (value: number, digits: number) => string,
 ): uPlot.Options {
   const colour = (name: string) => colours.getPropertyValue(name).trim();
-  const [sigma, speed, faint, ink] = [colour("--sigma"), colour("--speed"), colour("--line"), colour("--ink-soft")];
+  const [sigma, speed, faint, ink] = [
+    colour("--sigma"),
+    colour("--speed"),
+    colour("--line"),
+    colour("--ink-soft"),
+  ];
   const axis = { stroke: ink, font: "11px sans-serif", ticks: { show: false } };
-  const digitsOf = (values: number[]) => ((values[1] ?? 1) - (values[0] ?? 0) >= 1 ? 0 : (values[1] ?? 1) - (values[0] ?? 0) >= 0.1 ? 1 : 2);
+  const decimals = (_plot: uPlot, values: number[]) => {
+    const wanted = values.some((value) => Math.abs(value * 10 - Math.round(value * 10)) > 1e-6) ? 2 : 1;
+    const digits = values.every((value) => Math.abs(value - Math.round(value)) < 1e-6) ? 0 : wanted;
+    return values.map((value) => number(value, digits));
+  };
   return {
     width,
     height: HEIGHT_PX,
@@ -95,7 +104,7 @@ function options(
         size: 40,
         stroke: sigma,
         grid: { stroke: faint, width: 1 },
-        values: (_plot, values) => values.map((value) => number(value, digitsOf(values))),
+        values: decimals,
       },
       {
         ...axis,
@@ -104,7 +113,7 @@ function options(
         size: 40,
         stroke: speed,
         grid: { show: false },
-        values: (_plot, values) => values.map((value) => number(value, digitsOf(values))),
+        values: decimals,
       },
     ],
     series: [

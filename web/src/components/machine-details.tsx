@@ -54,10 +54,13 @@ function Numbers({ machine, state }: DetailsProps) {
       <Field name={text.fields.missed}>
         {text.fields.missedValue(format.count(link.missed), format.count(link.received + link.missed))}
       </Field>
+      <Field name={text.fields.refused}>{format.count(link.refused)}</Field>
       <Field name={text.fields.clockOffset}>
-        {link.clock_offset_s === null ? text.fields.unknown : `${format.number(link.clock_offset_s * 1000, 1)} ms`}
+        {link.clock_offset_s === null
+          ? text.fields.unknown
+          : `${format.number(link.clock_offset_s * 1000, 1)} ms`}
       </Field>
-      <Field name={text.fields.boot}>{boot ?? text.fields.unknown}</Field>
+      <Field name={text.fields.boot}>{boot === "" ? text.fields.unknown : boot}</Field>
     </dl>
   );
 }

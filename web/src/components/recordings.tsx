@@ -38,7 +38,9 @@ export function Recordings() {
     };
   }, [connected, sessions, failure]);
 
-  const newestFirst = [...(sessions.value ?? [])].sort((a, b) => Date.parse(b.started) - Date.parse(a.started));
+  const newestFirst = [...(sessions.value ?? [])].sort(
+    (a, b) => Date.parse(b.started) - Date.parse(a.started),
+  );
   return (
     <section class={`recordings${connected ? "" : " stale"}`} aria-labelledby="recordings-title">
       <h2 id="recordings-title">{text.recordings.title}</h2>
@@ -47,7 +49,9 @@ export function Recordings() {
       <ul>
         {newestFirst.map((session) => (
           <li key={session.id} data-session={session.id}>
-            <span class={`session-state session-${session.state}`}>{text.recordings.states[session.state]}</span>
+            <span class={`session-state session-${session.state}`}>
+              {text.recordings.states[session.state]}
+            </span>
             <span class="session-started">{format.dateTime(Date.parse(session.started))}</span>
             <span class="session-size">
               {session.ended !== null &&

@@ -20,13 +20,25 @@ export function Legend({ palette }: { palette: Palette }) {
       </ul>
       <ul>
         <li>
-          <svg viewBox="0 0 22 14" width="22" height="14" aria-hidden="true" style={{ color: palette.ellipse }}>
+          <svg
+            viewBox="0 0 22 14"
+            width="22"
+            height="14"
+            aria-hidden="true"
+            style={{ color: palette.ellipse }}
+          >
             <ellipse cx="11" cy="7" rx="10" ry="5" class="legend-ellipse" />
           </svg>
           {text.plan.ellipse}
         </li>
         <li>
-          <svg viewBox="0 0 22 14" width="22" height="14" aria-hidden="true" style={{ color: palette.ellipse }}>
+          <svg
+            viewBox="0 0 22 14"
+            width="22"
+            height="14"
+            aria-hidden="true"
+            style={{ color: palette.ellipse }}
+          >
             <circle cx="11" cy="7" r="6" class="legend-ring" />
           </svg>
           {text.plan.ring}

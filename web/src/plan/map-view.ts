@@ -50,7 +50,12 @@ export function createMapView(
   const grid = new Feed(map, "grid");
   map.on("load", () => {
     for (const source of ["grid", "machines"]) {
-      map.addSource(source, { type: "geojson", data: collection([]), maxzoom: SOURCE_MAX_ZOOM, tolerance: 0 });
+      map.addSource(source, {
+        type: "geojson",
+        data: collection([]),
+        maxzoom: SOURCE_MAX_ZOOM,
+        tolerance: 0,
+      });
     }
     for (const layer of [gridLayer(), ...LAYERS.flatMap(shapeLayers)]) map.addLayer(layer);
     grid.open();
@@ -80,7 +85,8 @@ export function createMapView(
     },
     setPalette(next) {
       colours = next;
-      if (map.getLayer("ground") !== undefined) map.setPaintProperty("ground", "background-color", next.ground);
+      if (map.getLayer("ground") !== undefined)
+        map.setPaintProperty("ground", "background-color", next.ground);
       drawGrid();
     },
     extent(): Extent {
@@ -181,7 +187,12 @@ function ground(palette: Palette): LayerSpecification {
 }
 
 function gridLayer(): LayerSpecification {
-  return { id: "grid", type: "line", source: "grid", paint: { "line-color": ["get", "stroke"], "line-width": 1 } };
+  return {
+    id: "grid",
+    type: "line",
+    source: "grid",
+    paint: { "line-color": ["get", "stroke"], "line-width": 1 },
+  };
 }
 
 function shapeLayers(layer: string): LayerSpecification[] {

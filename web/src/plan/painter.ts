@@ -18,6 +18,10 @@ import type { PlanView } from "./view";
 
 const GRID_STEP_PX = 90;
 const SCALE_BAR_PX = 140;
+/** A label stands above its machine's body, but not off it by more than this when zoomed in. */
+const LABEL_LIFT_M = 2.6;
+const LABEL_LIFT_MIN_PX = 26;
+const LABEL_LIFT_MAX_PX = 110;
 
 export interface Label {
   id: string;
@@ -25,6 +29,7 @@ export interface Label {
   word: string;
   severity: Severity;
   stale: boolean;
+  selected: boolean;
   x: number;
   y: number;
 }
@@ -51,6 +56,8 @@ export class PlanPainter {
   private frame: number | null = null;
   private keepAllInSight = true;
   private moving = false;
+  /** How many machines the last fit was for. */
+  private fitted = 0;
   private covered: { extent: Extent; step_m: number } | null = null;
 
   constructor(
@@ -138,24 +145,15 @@ export class PlanPainter {
   }
 
   private allInSight(state: State): boolean {
-    const { min, max } = this.view.extent();
-    return [...state.machines.values()].every(({ view }) => {
-      if (view.pose === null) return true;
-      const [east, north] = axisOf(view.pose);
-      const room_m = 4;
-      return (
-        east - room_m > min[0] && east + room_m < max[0] && north - room_m > min[1] && north + room_m < max[1]
-      );
-    }) && this.fitted === state.machines.size;
+    const poses = [...state.machines.values()].flatMap(({ view }) => (view.pose === null ? [] : [view.pose]));
+    const extent = this.view.extent();
+    return poses.length === this.fitted && poses.every((pose) => contains(extent, around(axisOf(pose), 4)));
   }
-
-  /** How many machines the last fit was for. */
-  private fitted = 0;
 
   private fitNow(state: State): void {
     const extent = machinesExtent(state.machines.values());
     if (extent === null) return;
-    this.fitted = state.machines.size;
+    this.fitted = [...state.machines.values()].filter(({ view }) => view.pose !== null).length;
     this.view.fit(extent);
   }
 
@@ -173,20 +171,29 @@ export class PlanPainter {
   }
 
   private labels(state: State): Label[] {
+    const body_px = LABEL_LIFT_M / this.view.metresPerPixel();
+    const lift_px = Math.min(LABEL_LIFT_MAX_PX, Math.max(LABEL_LIFT_MIN_PX, body_px));
     return [...state.machines].flatMap(([id, machine]) => {
       const { pose, name, severity, state_word: word } = machine.view;
       if (pose === null) return [];
       const [x, y] = this.view.toPixels(axisOf(pose));
-      return [{ id, name, word, severity, stale: isStale(state, machine), x, y }];
+      const stale = isStale(state, machine);
+      const selected = id === this.desk.choices.selected.value;
+      return [{ id, name, word, severity, stale, selected, x, y: y - lift_px }];
     });
   }
 
   private gridLabels(extent: Extent, step_m: number): GridLabel[] {
-    return gridLines(extent, step_m).flatMap(({ along, value_m, from }) => {
+    const height_px = this.view.toPixels(extent.min)[1];
+    const labels = gridLines(extent, step_m).map(({ along, value_m, from }): GridLabel => {
       const at: Metres = along === "north" ? [value_m, extent.min[1]] : [from[0], value_m];
       const [x, y] = this.view.toPixels(at);
-      return [{ along, value_m, offset_px: along === "north" ? x : y }];
+      return { along, value_m, offset_px: along === "north" ? x : y };
     });
+    // The corners belong to the buttons, the legend, and one of the two rows of labels.
+    return labels.filter(({ along, offset_px }) =>
+      along === "north" ? offset_px > 40 : offset_px > 52 && offset_px < height_px - 76,
+    );
   }
 
   /** The lines reach a screen further than what is seen, and are drawn anew when that is used up. */
@@ -202,6 +209,10 @@ export class PlanPainter {
     this.covered = { extent: wide, step_m };
     this.view.drawGrid(gridLines(wide, step_m));
   }
+}
+
+function around([east, north]: Metres, room_m: number): Extent {
+  return { min: [east - room_m, north - room_m], max: [east + room_m, north + room_m] };
 }
 
 function contains(outer: Extent, inner: Extent): boolean {

@@ -29,7 +29,7 @@ export const LIGHT: Palette = {
   glass: "#cfe3ea",
   boom: "#e09d12",
   ellipse: "#0f6fb8",
-  selection: "#0f6fb8",
+  selection: "#0b4f86",
   hatch: "#23292b",
   gnss: {
     fixed: "#138a63",
@@ -53,7 +53,7 @@ export const DARK: Palette = {
   glass: "#a9c8d4",
   boom: "#cd8f14",
   ellipse: "#62b2f2",
-  selection: "#62b2f2",
+  selection: "#9fd4ff",
   hatch: "#0a0d0e",
   gnss: {
     fixed: "#35c693",

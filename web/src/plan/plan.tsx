@@ -25,7 +25,7 @@ export function Plan() {
   const world = store.calm.value.site?.world ?? null;
   const worldKey = world === null ? null : `${world.latitude_deg} ${world.longitude_deg} ${world.altitude_m}`;
 
-  // biome-ignore lint/correctness/useExhaustiveDependencies: the plan is built once for each world origin; colours follow below.
+  // The plan is built once for each world origin; colours follow below.
   useEffect(() => {
     if (world === null || canvas.current === null) return;
     const container = canvas.current;
@@ -52,7 +52,8 @@ export function Plan() {
       painter.value = new PlanPainter({ store, choices }, opened, palette.value);
       drawing.value = as;
     };
-    const openSimple = () => show(createSvgView(container, palette.value, text.plan.description, events), "simple");
+    const openSimple = () =>
+      show(createSvgView(container, palette.value, text.plan.description, events), "simple");
     const open = async () => {
       if (!webglWorks()) return openSimple();
       try {
@@ -77,8 +78,10 @@ export function Plan() {
   return (
     <section class="plan" aria-label={text.plan.title} data-drawing={drawing.value}>
       <div class="plan-canvas" ref={canvas} />
-      {painter.value !== null && <Overlay furniture={painter.value.furniture} onPick={(id) => (choices.selected.value = id)} />}
-      <div class="plan-buttons" role="group" aria-label={text.plan.title}>
+      {painter.value !== null && (
+        <Overlay furniture={painter.value.furniture} onPick={(id) => (choices.selected.value = id)} />
+      )}
+      <div class="plan-buttons">
         <button type="button" onClick={() => painter.value?.fit()}>
           {text.plan.fit}
         </button>
@@ -91,10 +94,20 @@ export function Plan() {
         >
           {text.plan.follow}
         </button>
-        <button type="button" class="square" aria-label={text.plan.zoomIn} onClick={() => painter.value?.zoomBy(2)}>
+        <button
+          type="button"
+          class="square"
+          aria-label={text.plan.zoomIn}
+          onClick={() => painter.value?.zoomBy(2)}
+        >
           +
         </button>
-        <button type="button" class="square" aria-label={text.plan.zoomOut} onClick={() => painter.value?.zoomBy(0.5)}>
+        <button
+          type="button"
+          class="square"
+          aria-label={text.plan.zoomOut}
+          onClick={() => painter.value?.zoomBy(0.5)}
+        >
           −
         </button>
       </div>
@@ -114,7 +127,9 @@ function Overlay({ furniture, onPick }: { furniture: PlanPainter["furniture"]; o
         <span
           key={`${along}${value_m.toFixed(3)}`}
           class={`grid-label along-${along}`}
-          style={{ transform: along === "north" ? `translateX(${offset_px}px)` : `translateY(${offset_px}px)` }}
+          style={{
+            transform: along === "north" ? `translateX(${offset_px}px)` : `translateY(${offset_px}px)`,
+          }}
         >
           {along === "north" ? "E" : "N"} {format.number(value_m, digits)}
         </span>
@@ -123,7 +138,7 @@ function Overlay({ furniture, onPick }: { furniture: PlanPainter["furniture"]; o
         // biome-ignore lint/a11y/noStaticElementInteractions lint/a11y/useKeyWithClickEvents: a shortcut for the mouse; the list holds the buttons.
         <div
           key={label.id}
-          class={`label${label.stale ? " stale" : ""}`}
+          class={`label${label.stale ? " stale" : ""}${label.selected ? " selected" : ""}`}
           data-machine={label.id}
           style={{ transform: `translate(${label.x}px, ${label.y}px)` }}
           onClick={() => onPick(label.id)}

@@ -30,17 +30,15 @@ export function buildShapes(state: State, options: SceneOptions): Shape[] {
     const stale = isStale(state, machine);
     const opacity = stale ? FADED : 1;
     tail(shapes, machine.trace, positionOf(pose), options.palette, opacity);
-    if (id === options.selected) selection(shapes, pose, options);
     ellipse(shapes, pose, options, opacity);
-    excavator(shapes, pose, options.palette, opacity, stale);
+    excavator(shapes, pose, options.palette, { opacity, stale, selected: id === options.selected });
   }
   return shapes;
 }
 
-/** The turning axis where it is known, the estimated body otherwise. */
+/** The axis about which the cabin turns: the middle of the symbol. */
 export function axisOf(pose: PoseView): Metres {
-  const [x, y] = pose.chassis_position_m ?? pose.position_m;
-  return [x, y];
+  return [pose.cabin_position_m[0], pose.cabin_position_m[1]];
 }
 
 /** Where the machines are, with room for their symbols; `null` while none is known. */
@@ -67,7 +65,14 @@ function tail(shapes: Shape[], trace: Trace, now: Metres, palette: Palette, opac
   const finish = () => {
     if (points.length > 1) {
       const strokeOpacity = 0.85 * opacity;
-      shapes.push({ layer: "tail", kind: "line", points, stroke: colour, strokeOpacity, strokeWidth_px: 2.5 });
+      shapes.push({
+        layer: "tail",
+        kind: "line",
+        points,
+        stroke: colour,
+        strokeOpacity,
+        strokeWidth_px: 2.5,
+      });
     }
   };
   for (const point of trace.tail) {
@@ -85,20 +90,6 @@ function tail(shapes: Shape[], trace: Trace, now: Metres, palette: Palette, opac
   }
   if (trace.tail.length > 0) points.push(now);
   finish();
-}
-
-function selection(shapes: Shape[], pose: PoseView, { palette, metresPerPixel }: SceneOptions): void {
-  const radius_m = Math.max(4.2, 22 * metresPerPixel);
-  shapes.push({
-    layer: "selection",
-    kind: "area",
-    points: circleOutline(axisOf(pose), radius_m),
-    fill: palette.selection,
-    fillOpacity: 0.1,
-    stroke: palette.selection,
-    strokeOpacity: 0.55,
-    strokeWidth_px: 1,
-  });
 }
 
 function ellipse(shapes: Shape[], pose: PoseView, options: SceneOptions, opacity: number): void {
@@ -125,22 +116,38 @@ function ellipse(shapes: Shape[], pose: PoseView, options: SceneOptions, opacity
       [ring_m * 1.9, 0],
     ];
     const ends = place(stroke_m, at, pose.heading_deg);
-    shapes.push({ layer: "ring", kind: "line", points: ends, stroke, strokeOpacity: opacity, strokeWidth_px: 3 });
+    shapes.push({
+      layer: "ring",
+      kind: "line",
+      points: ends,
+      stroke,
+      strokeOpacity: opacity,
+      strokeWidth_px: 3,
+    });
   }
 }
 
-function excavator(shapes: Shape[], pose: PoseView, palette: Palette, opacity: number, stale: boolean): void {
+interface Looks {
+  opacity: number;
+  stale: boolean;
+  selected: boolean;
+}
+
+function excavator(shapes: Shape[], pose: PoseView, palette: Palette, looks: Looks): void {
+  const { opacity, stale, selected } = looks;
   const axis = axisOf(pose);
+  const chassisAt: Metres =
+    pose.chassis_position_m === null ? axis : [pose.chassis_position_m[0], pose.chassis_position_m[1]];
   const area = (layer: "chassis" | "cabin", outline: readonly Metres[], heading_deg: number, fill: string) =>
     shapes.push({
       layer,
       kind: "area",
-      points: place(outline, axis, heading_deg),
+      points: place(outline, layer === "chassis" ? chassisAt : axis, heading_deg),
       fill,
       fillOpacity: opacity,
-      stroke: palette.outline,
+      stroke: selected ? palette.selection : palette.outline,
       strokeOpacity: opacity,
-      strokeWidth_px: 1,
+      strokeWidth_px: selected ? 2.5 : 1,
     });
   const chassis_deg = pose.chassis_heading_deg;
   if (chassis_deg !== null) {

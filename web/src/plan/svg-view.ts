@@ -39,7 +39,10 @@ export function createSvgView(
   const size = (): readonly [number, number] => [container.clientWidth, container.clientHeight];
   const toPixels = ([east, north]: Metres): readonly [number, number] => {
     const [width, height] = size();
-    return [width / 2 + (east - centre[0]) / metresPerPixel, height / 2 - (north - centre[1]) / metresPerPixel];
+    return [
+      width / 2 + (east - centre[0]) / metresPerPixel,
+      height / 2 - (north - centre[1]) / metresPerPixel,
+    ];
   };
   const pathOf = (points: readonly Metres[]) =>
     `M${points.map((point) => toPixels(point).map((pixel) => pixel.toFixed(2))).join("L")}`;

@@ -5,7 +5,7 @@ import type { Extent, GridLine } from "../geometry/grid";
 import type { Palette } from "./palette";
 
 /** Drawn in this order: later ones lie above. */
-export const LAYERS = ["selection", "tail", "chassis", "cabin", "hatch", "ellipse", "ring"] as const;
+export const LAYERS = ["tail", "chassis", "cabin", "hatch", "ellipse", "ring"] as const;
 export type Layer = (typeof LAYERS)[number];
 
 /** One area or line of the plan, in metres; it carries its colours. */

@@ -141,7 +141,9 @@ export class Store {
       link: this.link,
       site: snapshot?.site ?? before.site,
       siteTime_ms:
-        this.lastSiteTime === null ? null : this.lastSiteTime.time_ms + (now_ms - this.lastSiteTime.received_ms),
+        this.lastSiteTime === null
+          ? null
+          : this.lastSiteTime.time_ms + (now_ms - this.lastSiteTime.received_ms),
       machines:
         snapshot === null && views.size === 0
           ? before.machines

@@ -4,8 +4,8 @@
  * Both are bounded. Times are the page's own monotonic clock, ms, less the age of the value on arrival.
  */
 
-import type { Metres } from "../geometry/geodesy";
 import type { GnssState, MachineView, PoseView } from "../api/types";
+import type { Metres } from "../geometry/geodesy";
 
 export const TAIL_SPAN_MS = 300_000;
 export const TAIL_POINTS_MAX = 1500;
@@ -45,7 +45,7 @@ export class Trace {
   private stamp: string | null = null;
   private newest_ms = Number.NEGATIVE_INFINITY;
 
-  constructor(readonly boot: string | null) {}
+  constructor(readonly boot: string) {}
 
   /** The next point does not join: the page was not told what lies between. */
   interrupt(): void {

@@ -50,6 +50,7 @@ export const de: Text = {
     poseRate: "Posen empfangen",
     missed: "Verlorene Nachrichten",
     missedValue: (missed, received) => `${missed} von ${received}`,
+    refused: "Unbrauchbare Nachrichten",
     clockOffset: "Uhrenversatz",
     boot: "Programmstart",
     age: (age) => `${age} alt`,
@@ -67,7 +68,7 @@ export const de: Text = {
   },
   mode: {
     initializing: "noch nichts",
-    main: "GNSS + Lidar + IMU",
+    main: "GNSS + Lidar",
     fallback: "Lidar + IMU",
     imu_only: "nur IMU",
   },

@@ -48,6 +48,7 @@ export const en = {
     poseRate: "Poses received",
     missed: "Missed messages",
     missedValue: (missed: string, received: string) => `${missed} of ${received}`,
+    refused: "Unusable messages",
     clockOffset: "Clock offset",
     boot: "Start of its program",
     age: (age: string) => `${age} old`,
@@ -65,7 +66,7 @@ export const en = {
   },
   mode: {
     initializing: "nothing yet",
-    main: "GNSS + lidar + IMU",
+    main: "GNSS + lidar",
     fallback: "lidar + IMU",
     imu_only: "IMU alone",
   },
