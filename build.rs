@@ -63,8 +63,9 @@ fn build_page() -> Result<(), String> {
     }
     let target = PathBuf::from(out).join("web");
     let target_name = target.to_str().ok_or_else(|| format!("{} is not Unicode", target.display()))?;
-    npm(&web, &["run", "build", "--", "--outDir", target_name, "--emptyOutDir"])
-        .map_err(|error| format!("{error}\nThe page could not be built. To see it alone: cd web && npm run build"))?;
+    npm(&web, &["run", "build", "--", "--outDir", target_name, "--emptyOutDir"]).map_err(|error| {
+        format!("{error}\nThe page could not be built. To see it alone: cd web && npm run build")
+    })?;
     if target.join("index.html").is_file() {
         Ok(())
     } else {
