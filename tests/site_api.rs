@@ -24,7 +24,6 @@ use tokio_tungstenite::tungstenite::Message;
 
 /// Nothing in here takes so long unless it is broken.
 const PATIENCE: Duration = Duration::from_secs(20);
-const SITE_FILE: &str = "HOLDFAST_TEST_SITE_FILE";
 
 fn now() -> Stamp {
     let since_epoch = SystemTime::now().duration_since(UNIX_EPOCH).expect("after 1970");
@@ -521,44 +520,29 @@ async fn address_that_is_taken_or_reachable_is_refused_in_words() {
     assert!(message.contains("loopback"), "{message}");
 }
 
-/// Not a test by itself: the site as a process, for the test below, which can kill it.
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn site_process() {
-    let Some(file) = std::env::var_os(SITE_FILE) else { return };
-    let config: config::Site = config::load(Path::new(&file)).expect("valid");
-    let site = Site::start(&config).await.expect("starts");
-    // The test harness captures what is printed; a file tells the parent.
-    let told = format!("{}\n{}\n", site.address(), site.endpoints()[0]);
-    tokio::fs::write(Path::new(&file).with_extension("running"), told).await.expect("told");
-    println!();
-    std::future::pending::<()>().await;
-}
-
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn killed_site_leaves_a_recording_that_the_next_start_recovers() {
     let folder = Folder::new("killed");
     let file = folder.0.join("site.toml");
     std::fs::write(&file, toml::to_string(&folder.config()).expect("TOML")).expect("written");
-    let mut process = tokio::process::Command::new(std::env::current_exe().expect("this test"))
-        .args(["--exact", "site_process", "--nocapture"])
-        .env(SITE_FILE, &file)
+    let mut process = tokio::process::Command::new(env!("CARGO_BIN_EXE_holdfast"))
+        .arg("site")
+        .arg("--config")
+        .arg(&file)
         .stdout(Stdio::piped())
         .kill_on_drop(true)
         .spawn()
         .expect("starts");
-    let running = file.with_extension("running");
     let mut lines = BufReader::new(process.stdout.take().expect("piped")).lines();
-    tokio::time::timeout(PATIENCE, async {
-        while !running.is_file() {
-            lines.next_line().await.expect("read").expect("still running");
-        }
-    })
-    .await
-    .expect("runs in time");
-    let told = std::fs::read_to_string(&running).expect("told");
-    let (address, endpoint) = told.trim().split_once('\n').expect("two lines");
-    let address: SocketAddr = address.parse().expect("an address");
-    let mut machine = Machine::connect("a", 1, endpoint).await;
+    let mut said = async |before: &str, after: &str| {
+        let line = tokio::time::timeout(PATIENCE, lines.next_line()).await.expect("in time");
+        let line = line.expect("read").expect("still running");
+        let told = line.strip_prefix(before).and_then(|line| line.strip_suffix(after));
+        told.expect("as documented").to_owned()
+    };
+    let address: SocketAddr = said("dashboard http://", "/").await.parse().expect("an address");
+    let endpoint = said("zenoh ", "").await;
+    let mut machine = Machine::connect("a", 1, &endpoint).await;
     machine
         .speak_until(async || {
             let sessions = get(address, "/api/v1/sessions").await.json();

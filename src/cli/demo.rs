@@ -93,13 +93,16 @@ async fn demo(arguments: &Arguments) -> Result<(), Box<dyn Error>> {
     let (exit_sender, mut exits) = mpsc::channel(FILES.len());
     let mut family = Family { members: Vec::new(), exits: exit_sender };
     let started = tokio::select! {
-        started = start(&mut family, &folder, arguments) => started,
-        _ = terminate.recv() => Ok(()),
-        _ = interrupt.recv() => Ok(()),
+        started = start(&mut family, &folder, arguments) => Some(started),
+        _ = terminate.recv() => None,
+        _ = interrupt.recv() => None,
     };
-    if let Err(error) = started {
-        family.end().await;
-        return Err(error);
+    match started {
+        Some(Ok(())) => {}
+        ended => {
+            family.end().await;
+            return ended.unwrap_or(Ok(()));
+        }
     }
 
     let duration = arguments.duration.map_or(Duration::MAX, Duration::from_secs_f64);
