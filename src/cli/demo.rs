@@ -82,7 +82,7 @@ pub fn run(arguments: Arguments) -> Result<(), Box<dyn Error>> {
 async fn demo(arguments: &Arguments) -> Result<(), Box<dyn Error>> {
     config::Http { listen: arguments.listen }
         .check()
-        .map_err(|violation| violation.to_string().replace("http.listen", "--listen"))?;
+        .map_err(|violation| config::Violation { key: "--listen".to_owned(), ..violation })?;
     let mut terminate = signal(SignalKind::terminate())?;
     let mut interrupt = signal(SignalKind::interrupt())?;
     fs::create_dir_all(&arguments.data).map_err(|error| format!("{}: {error}", arguments.data.display()))?;
