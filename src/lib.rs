@@ -4,6 +4,7 @@
 pub mod cli;
 pub mod config;
 pub mod estimator;
+pub mod evaluate;
 pub mod export;
 pub mod factors;
 pub mod fleet;

@@ -7,6 +7,7 @@ mod check;
 #[cfg(feature = "shells")]
 mod demo;
 mod estimate;
+mod evaluate;
 #[cfg(feature = "shells")]
 mod logging;
 #[cfg(feature = "shells")]
@@ -38,6 +39,7 @@ enum Command {
     Demo(demo::Arguments),
     Simulate(simulate::Arguments),
     Estimate(estimate::Arguments),
+    Evaluate(evaluate::Arguments),
     Check(check::Arguments),
     #[cfg(feature = "shells")]
     Machine(machine::Arguments),
@@ -64,6 +66,7 @@ pub fn main() -> ExitCode {
         Command::Demo(arguments) => demo::run(arguments).map(|()| Outcome::Done),
         Command::Simulate(arguments) => simulate::run(arguments).map(|()| Outcome::Done),
         Command::Estimate(arguments) => estimate::run(arguments),
+        Command::Evaluate(arguments) => evaluate::run(arguments).map(|()| Outcome::Done),
         Command::Check(arguments) => Ok(check::run(&arguments)),
         #[cfg(feature = "shells")]
         Command::Machine(arguments) => machine::run(arguments).map(|()| Outcome::Done),

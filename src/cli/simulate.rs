@@ -28,6 +28,9 @@ pub struct Arguments {
 /// # Errors
 /// The scenario cannot be used, or a file cannot be written.
 pub fn run(arguments: Arguments) -> Result<(), Box<dyn Error>> {
+    if arguments.out.extension().is_some_and(|extension| extension == "mcap") {
+        return Err(format!("{}: give a folder; MCAP is not written yet", arguments.out.display()).into());
+    }
     let scenario = Scenario::load(&arguments.scenario)?;
     let bar = progress::bar();
     let written = simulate::write(&scenario, &arguments.out, |progress| {

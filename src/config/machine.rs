@@ -246,7 +246,7 @@ impl Default for Smoother {
 
 impl Default for Initialization {
     fn default() -> Self {
-        Self { static_window_s: 2.0, heading_sigma_deg: 3.0, accel_bias_sigma: 0.1, gyro_bias_sigma: 5.0e-3 }
+        Self { static_window_s: 2.0, heading_sigma_deg: 1.5, accel_bias_sigma: 0.1, gyro_bias_sigma: 5.0e-3 }
     }
 }
 

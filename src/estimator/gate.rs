@@ -7,16 +7,27 @@
 //!      │ `fixes_to_return` good fixes in a row      ▼
 //!      └────────────────────────────────────── recovering ──▶ lost on a bad fix
 //! ```
-//! A single bad fix is left out without loss of trust. While trust is lost no fix is used; fixes that agree
-//! with each other, report small sigmas and imply a possible speed bring it back, also if they contradict the
-//! estimate: then the estimate was wrong.
+//! A single bad fix is left out without loss of trust. While trust is lost no fix is used. Fixes that report
+//! small sigmas, imply a possible speed and agree with the estimate, whose covariance has grown meanwhile, bring
+//! it back. Fixes that agree with each other but not with the estimate are multipath, which lasts seconds; if
+//! they go on for longer than that, the estimate was wrong, and they are believed.
 
 use crate::lie::{Mat3, Vec3};
 use crate::state::GnssState;
 use crate::time::{Span, Stamp};
 
-/// Chi-square with 3 degrees of freedom, passed by 1 in 10 000 good fixes.
-const INNOVATION_LIMIT: f64 = 21.1;
+/// Squared innovation (3 degrees of freedom) that is refused: about 7 sigmas along one axis. What is less far
+/// off is left to the robust loss, since vibration and stamps have heavier tails than their sigmas say.
+const INNOVATION_LIMIT: f64 = 50.0;
+/// Squared innovation up to which a fix agrees with the estimate while trust is lost: 1 in 100 good fixes is
+/// further off, and its return only takes longer.
+const RETURN_LIMIT: f64 = 11.3;
+/// Multipath is over after so long; fixes that contradict the estimate for longer are right.
+const CONTRADICTION_MAX: Span = Span::from_millis(8_000);
+/// Error of a fix with fixed ambiguities that is new in each fix, at most, m.
+const WHITE_SIGMA_M: f64 = 0.02;
+/// Slow errors of fixes stay alike for about so long, s.
+const CORRELATION_S: f64 = 3.0;
 /// So many bad fixes in a row are a loss.
 const BAD_IN_A_ROW: u32 = 3;
 /// Without fixes for so long, GNSS is silent.
@@ -79,8 +90,11 @@ pub(super) struct Gate {
     trusted: bool,
     good_in_row: u32,
     bad_in_row: u32,
+    /// While lost: since when fixes agree with each other against the estimate.
+    contradicting_since: Option<Stamp>,
     last_used: Option<Stamp>,
     last_heard: Option<Stamp>,
+    period_s: f64,
     previous: Option<Candidate>,
     /// Where the estimate was when the position began to be the same to the bit.
     same_since: Option<(Vec3, Vec3)>,
@@ -94,8 +108,10 @@ impl Gate {
             trusted: false,
             good_in_row: 0,
             bad_in_row: 0,
+            contradicting_since: None,
             last_used: None,
             last_heard: None,
+            period_s: 0.05,
             previous: None,
             same_since: None,
         }
@@ -117,9 +133,20 @@ impl Gate {
         self.trusted
     }
 
-    /// Sigma to use for a fix: the reported one, not under the floor.
-    pub fn usable_sigma(&self, reported: &Vec3) -> Vec3 {
+    /// Sigma of one fix by itself: the reported one, not under the floor.
+    fn single_sigma(&self, reported: &Vec3) -> Vec3 {
         reported.map(|sigma| sigma.max(self.options.sigma_floor_m))
+    }
+
+    /// Sigma to use for a fix among its neighbours. With fixed ambiguities the error is close to white. What the
+    /// receiver reports beyond that comes from multipath and float ambiguities, which change slowly: n fixes
+    /// in one correlation time say no more than one, so that part of the variance is n times as large.
+    pub fn usable_sigma(&self, reported: &Vec3) -> Vec3 {
+        let alike = 1.0 + 2.0 * CORRELATION_S / self.period_s.max(1.0e-3);
+        self.single_sigma(reported).map(|sigma| {
+            let white = sigma.min(WHITE_SIGMA_M);
+            (white * white + (sigma * sigma - white * white) * alike).sqrt()
+        })
     }
 
     /// Why the reported sigmas are too large, if they are.
@@ -131,7 +158,7 @@ impl Gate {
 
     /// Squared, normalized innovation over its limit.
     pub fn test_ratio(&self, candidate: &Candidate) -> f64 {
-        let sigma = self.usable_sigma(&candidate.sigma);
+        let sigma = self.single_sigma(&candidate.sigma);
         let covariance = candidate.expected_covariance + Mat3::from_diagonal(&sigma.component_mul(&sigma));
         let innovation = candidate.position - candidate.expected;
         let solved = covariance.cholesky().map(|factor| factor.solve(&innovation));
@@ -140,12 +167,13 @@ impl Gate {
 
     /// Judges the fix of the left antenna.
     pub fn judge(&mut self, candidate: Candidate) -> Judgement {
+        if let Some(heard) = self.last_heard {
+            // Bounded: a fix after a silence is not a change of the receiver's rate.
+            self.period_s += 0.1 * (candidate.stamp.seconds_since(heard).clamp(0.01, 1.0) - self.period_s);
+        }
         self.last_heard = Some(candidate.stamp);
         let test_ratio = self.test_ratio(&candidate);
-        let (cause, refusal) = match self.find_fault(&candidate, test_ratio) {
-            Some((cause, reason)) => (Some(cause), Some(reason)),
-            None => (None, None),
-        };
+        let (cause, refusal) = self.find_fault(&candidate, test_ratio).unzip();
         let turn = match cause {
             Some(cause) => self.note_bad(cause, candidate.stamp),
             None => self.note_good(),
@@ -159,6 +187,7 @@ impl Gate {
     }
 
     fn find_fault(&mut self, candidate: &Candidate, test_ratio: f64) -> Option<(GnssState, String)> {
+        let contradicting_since = self.contradicting_since.take();
         if let Some(reason) = self.sigma_refusal(&candidate.sigma) {
             return Some((GnssState::Degraded, reason));
         }
@@ -166,22 +195,33 @@ impl Gate {
             let reason = format!("position has not changed while the machine moved {travelled:.2} m");
             return Some((GnssState::Frozen, reason));
         }
-        if let Some(previous) = &self.previous {
-            let elapsed = candidate.stamp.seconds_since(previous.stamp);
-            let moved = (candidate.position - previous.position).norm();
-            let noise = 5.0 * (candidate.sigma.norm() + previous.sigma.norm()).max(0.01);
-            if moved > self.options.speed_max * elapsed + noise {
-                let reason = format!("moved {moved:.2} m in {elapsed:.2} s");
-                return Some((GnssState::Jumping, reason));
-            }
-        }
-        // While trust is lost, fixes have to agree with each other, not with an estimate that may have drifted.
-        if self.trusted && test_ratio > 1.0 {
-            let off = (candidate.position - candidate.expected).norm();
-            let reason = format!("is {off:.2} m from where it is expected, {test_ratio:.1} times the limit");
+        if let Some(reason) = self.too_fast(candidate) {
             return Some((GnssState::Jumping, reason));
         }
-        None
+        let limit = if self.trusted { 1.0 } else { RETURN_LIMIT / INNOVATION_LIMIT };
+        if test_ratio <= limit {
+            return None;
+        }
+        if !self.trusted {
+            let since = contradicting_since.unwrap_or(candidate.stamp);
+            self.contradicting_since = Some(since);
+            if candidate.stamp - since > CONTRADICTION_MAX {
+                return None;
+            }
+        }
+        let off = (candidate.position - candidate.expected).norm();
+        let reason =
+            format!("is {off:.2} m from where it is expected, {:.1} times the limit", test_ratio / limit);
+        Some((GnssState::Jumping, reason))
+    }
+
+    fn too_fast(&self, candidate: &Candidate) -> Option<String> {
+        let previous = self.previous.as_ref()?;
+        let elapsed = candidate.stamp.seconds_since(previous.stamp);
+        let moved = (candidate.position - previous.position).norm();
+        let noise = 5.0 * (candidate.sigma.norm() + previous.sigma.norm()).max(0.01);
+        (moved > self.options.speed_max * elapsed + noise)
+            .then(|| format!("moved {moved:.2} m in {elapsed:.2} s"))
     }
 
     /// How far the machine went while the position stayed the same to the bit, if that is too far.
@@ -217,6 +257,7 @@ impl Gate {
             return None;
         }
         self.trusted = true;
+        self.contradicting_since = None;
         self.state = GnssState::Fixed;
         Some(Turn::Recovered)
     }
@@ -283,11 +324,11 @@ mod tests {
     fn reported_sigma_over_the_limit_loses_trust_and_ten_good_fixes_bring_it_back() {
         let mut gate = trusted();
         gate.judge(candidate(0, near(0, 0.0), 0.01));
-        let turns: Vec<_> = (1..=5).map(|k| gate.judge(candidate(k, near(k, 0.1), 0.5)).turn).collect();
+        let turns: Vec<_> = (1..=5).map(|k| gate.judge(candidate(k, near(k, 0.04), 0.5)).turn).collect();
         assert_eq!(turns[2], Some(Turn::Lost { since: Stamp::from_nanos(0) }));
         assert_eq!(turns.iter().flatten().count(), 1);
         assert_eq!(gate.state(), GnssState::Degraded);
-        let used: Vec<_> = (6..=16).map(|k| gate.judge(candidate(k, near(k, 0.1), 0.01)).used).collect();
+        let used: Vec<_> = (6..=16).map(|k| gate.judge(candidate(k, near(k, 0.04), 0.01)).used).collect();
         assert_eq!(used.iter().position(|used| *used), Some(9));
     }
 
@@ -319,6 +360,20 @@ mod tests {
         }
         assert_eq!(gate.state(), GnssState::Frozen);
         assert!(!gate.trusted());
+    }
+
+    #[test]
+    fn fixes_that_contradict_the_estimate_are_multipath_for_seconds_and_right_after_that() {
+        let mut gate = trusted();
+        (0..10).for_each(|k| assert!(gate.judge(candidate(k, near(k, 0.0), 0.01)).used));
+        // 0.8 m off for two seconds, with small sigmas: never used, and the good ones after it are.
+        (10..50).for_each(|k| assert!(!gate.judge(candidate(k, near(k, 0.8), 0.01)).used));
+        let back: Vec<_> = (50..70).map(|k| gate.judge(candidate(k, near(k, 0.0), 0.01)).used).collect();
+        assert_eq!(back.iter().position(|used| *used), Some(10), "the first one has jumped back");
+        // The same offset for good: the estimate is wrong.
+        let offset: Vec<_> = (70..300).map(|k| gate.judge(candidate(k, near(k, 0.8), 0.01)).used).collect();
+        let accepted = offset.iter().position(|used| *used).expect("believed in the end");
+        assert!((160..190).contains(&accepted), "{accepted}");
     }
 
     #[test]

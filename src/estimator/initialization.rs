@@ -65,6 +65,16 @@ struct Level {
     gyro_bias_sigma: f64,
 }
 
+/// All that was read at rest so far; a longer rest gives better biases.
+#[derive(Clone, Copy, Debug)]
+struct Rest {
+    until: Stamp,
+    rate_sum: Vec3,
+    force_sum: Vec3,
+    count: f64,
+    length_s: f64,
+}
+
 /// Collects readings until the estimate can start.
 pub(super) struct Initializer {
     options: Options,
@@ -74,6 +84,7 @@ pub(super) struct Initializer {
     right: VecDeque<GnssFix>,
     lidar: VecDeque<LidarPose>,
     level: Option<Level>,
+    rest: Option<Rest>,
     /// Whether the newest look found a standstill.
     at_rest: bool,
     waits_for: String,
@@ -89,6 +100,7 @@ impl Initializer {
             right: VecDeque::new(),
             lidar: VecDeque::new(),
             level: None,
+            rest: None,
             at_rest: false,
             waits_for: "the cabin IMU".to_owned(),
         }
@@ -143,6 +155,7 @@ impl Initializer {
     /// Whether the window up to [`START_DELAY`] before now was a standstill; if so, takes the level from it.
     fn look_for_rest(&mut self) {
         self.at_rest = false;
+        let rest = self.rest.take();
         let Some(newest) = self.samples.newest().map(|sample| sample.stamp) else { return };
         let end = newest - START_DELAY;
         let begin = end - self.options.initialization.static_window;
@@ -176,6 +189,24 @@ impl Initializer {
             return;
         }
         self.at_rest = true;
+        let begun = rest.unwrap_or(Rest {
+            until: begin,
+            rate_sum: Vec3::zeros(),
+            force_sum: Vec3::zeros(),
+            count: 0.0,
+            length_s: 0.0,
+        });
+        let rest =
+            window.iter().filter(|sample| sample.stamp > begun.until).fold(begun, |rest, sample| Rest {
+                rate_sum: rest.rate_sum + sample.angular_rate,
+                force_sum: rest.force_sum + sample.specific_force,
+                count: rest.count + 1.0,
+                ..rest
+            });
+        let rest = Rest { until: end, length_s: rest.length_s + end.seconds_since(begun.until), ..rest };
+        self.rest = Some(rest);
+        let (rate, force) = (rest.rate_sum / rest.count, rest.force_sum / rest.count);
+        let root_s = rest.length_s.sqrt();
         let up = force.normalize();
         self.level = Some(Level {
             stamp: end,
@@ -183,9 +214,9 @@ impl Initializer {
             gyro_bias: rate,
             accel_bias: up * (force.norm() - g),
             force,
-            force_sigma: 0.01 + 2.0 * noise.accelerometer_noise_density / window_s.sqrt(),
+            force_sigma: 0.01 + 2.0 * noise.accelerometer_noise_density / root_s,
             // The earth turns at 7e-5 rad/s, which is not told from bias.
-            gyro_bias_sigma: 1.0e-4 + 2.0 * noise.gyroscope_noise_density / window_s.sqrt(),
+            gyro_bias_sigma: 1.0e-4 + 2.0 * noise.gyroscope_noise_density / root_s,
         });
     }
 
@@ -200,7 +231,7 @@ impl Initializer {
     }
 
     fn try_start(&mut self) -> Option<Start> {
-        let Some(newest) = self.samples.newest().map(|sample| sample.stamp) else { return None };
+        let newest = self.samples.newest()?.stamp;
         if self.usable_left().next().is_none() {
             self.waits_for = match self.left.back() {
                 None => "the left GNSS antenna: no fixes arrive".to_owned(),
@@ -397,7 +428,7 @@ impl Initializer {
         Some(Guess {
             rotation: without_heading(&rotation),
             gyro_bias: level.gyro_bias,
-            accel_bias: Vec3::zeros(),
+            accel_bias: level.accel_bias,
             acceleration_sigma: 0.05 + init.accel_bias_sigma,
         })
     }

@@ -16,11 +16,11 @@ use crate::frames::{Lidar, Pose, World};
 use crate::lie::Vec3;
 use crate::sensors::{Arrival, GnssFix, LidarPose, Reading, Sensor};
 use crate::smoother::{Smoother, SmootherError, predicted_position_covariance};
-use crate::state::{Event, EventKind, GnssState, Health, Mode, NavState, Severity};
+use crate::state::{Event, EventKind, GnssState, Health, Mode, NavState, Severity, row};
 use crate::time::{Span, Stamp};
 
 /// Huber's threshold of fixes that pass the gate, in sigmas.
-const HUBER_THRESHOLD: f64 = 3.0;
+const HUBER_THRESHOLD: f64 = 5.0;
 /// A measurement this far ahead of the IMU has a wrong clock.
 const AHEAD_MAX: Span = Span::from_millis(1_000);
 /// Without measurements, a node is set so often, so that links stay short.
@@ -31,6 +31,9 @@ const LIDAR_GAP_MAX: Span = Span::from_millis(1_100);
 const LIDAR_MISFIT_MAX: [f64; 2] = [0.5, 0.2];
 /// Without lidar for so long, the IMU is alone.
 const LIDAR_SILENCE: Span = Span::from_millis(1_500);
+/// What a wrong estimate may be off in rotation (rad) and velocity (m/s), beside position.
+const RESEAT_ROTATION_SIGMA: f64 = 0.05;
+const RESEAT_VELOCITY_SIGMA: f64 = 0.3;
 /// Measurements that wait for the IMU, at most.
 const PENDING_MAX: usize = 1_024;
 
@@ -139,7 +142,10 @@ impl Updater {
             }
         }
         let Phase::Running(running) = &mut self.phase else { return solution };
+        let before = running.gate.state();
         let turn = running.gate.notice_silence(imu);
+        let after = running.gate.state();
+        self.monitor.note_gnss(imu, before, after);
         self.note_turn(turn, imu, None);
         let Phase::Running(running) = &mut self.phase else { return solution };
         let newest = running.smoother.newest().map_or(imu, |(stamp, _)| stamp);
@@ -177,7 +183,12 @@ impl Updater {
             self.refuse(Sensor::GnssLeft, reason);
         }
         self.monitor.note_gnss(fix.stamp, before, after);
-        let outcome = if used { self.add_fix(fix, &lever_arm) } else { self.bare_node(fix.stamp) };
+        let contradicts = judgement.turn == Some(Turn::Recovered) && judgement.test_ratio > 1.0;
+        let outcome = match (used, contradicts) {
+            (true, true) => self.reseat(&candidate),
+            (true, false) => self.add_fix(fix, &lever_arm),
+            (false, _) => self.bare_node(fix.stamp),
+        };
         let expected = candidate.expected;
         let solution = self.finish(outcome, fix.stamp);
         let corrected = match &self.phase {
@@ -235,6 +246,25 @@ impl Updater {
             huber_threshold: HUBER_THRESHOLD,
         };
         running.smoother.add_position(node, factor)?;
+        Ok(true)
+    }
+
+    /// The estimate was wrong: starts the window anew where the fix says, no surer than the error it had.
+    fn reseat(&mut self, candidate: &Candidate) -> Result<bool, SmootherError> {
+        let Phase::Running(running) = &mut self.phase else { return Ok(false) };
+        let Some((mut state, mut covariance)) = running.smoother.predict(candidate.stamp) else {
+            return Ok(false);
+        };
+        let error = candidate.position - candidate.expected;
+        state.position += error;
+        for axis in 0..3 {
+            covariance[(row::ROTATION + axis, row::ROTATION + axis)] += RESEAT_ROTATION_SIGMA.powi(2);
+            covariance[(row::POSITION + axis, row::POSITION + axis)] += error.norm_squared();
+            covariance[(row::VELOCITY + axis, row::VELOCITY + axis)] += RESEAT_VELOCITY_SIGMA.powi(2);
+        }
+        let information = covariance.try_inverse().ok_or(SmootherError::NotDetermined)?;
+        running.last_lidar = None;
+        running.smoother.start(candidate.stamp, state, &information)?;
         Ok(true)
     }
 
@@ -357,7 +387,6 @@ impl Updater {
         match turn {
             None => {}
             Some(Turn::Lost { since }) => {
-                self.monitor.note_gnss(stamp, GnssState::Fixed, cause);
                 self.monitor.begin_outage(stamp, since, cause);
             }
             Some(Turn::Recovered) => self.monitor.end_outage(stamp, jump_m),

@@ -4,12 +4,17 @@
 //! be a measurement (NaN, a stamp that goes back) is data: it is handed on, and the estimator refuses
 //! and counts it.
 
+mod intervals;
 mod log_folder;
 mod table;
 mod tum;
 
+#[cfg(test)]
+mod tests;
+
 use std::path::PathBuf;
 
+pub use intervals::{Interval, read_intervals};
 pub use log_folder::{LogFolder, read_log_folder};
 pub use tum::{StampedPose, read_tum};
 

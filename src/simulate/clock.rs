@@ -1,7 +1,7 @@
 //! When a sensor measures, and when its readings arrive.
 
 use super::dice::Dice;
-use super::scenario::Timing;
+use super::specification::Timing;
 use crate::time::{Span, Stamp};
 
 /// The stamps of one sensor, evenly spaced but for jitter and not in step with other sensors, and their

@@ -2,7 +2,6 @@
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{RngCore, SeedableRng};
-use rand_distr::{Distribution, StandardNormal};
 
 use crate::lie::Vec3;
 
@@ -21,9 +20,13 @@ impl Dice {
         Self { generator: ChaCha8Rng::from_seed(bytes) }
     }
 
-    /// Mean 0, standard deviation 1.
+    /// Mean 0, standard deviation 1, by Box and Muller: always two draws, and functions that give the
+    /// same bits on every machine.
     pub(super) fn normal(&mut self) -> f64 {
-        StandardNormal.sample(&mut self.generator)
+        // In (0, 1], so that the logarithm is finite.
+        let radius = 1.0 - self.uniform(0.0, 1.0);
+        let angle = self.uniform(0.0, std::f64::consts::TAU);
+        (-2.0 * libm::log(radius)).sqrt() * libm::cos(angle)
     }
 
     /// Three independent normal numbers.

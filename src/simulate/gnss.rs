@@ -2,8 +2,9 @@
 
 use super::dice::Dice;
 use super::motion::Bodies;
-use super::scenario::{Gnss, GnssConditionKind};
+use super::scenario::GnssConditionKind;
 use super::sensor::Source;
+use super::specification::Gnss;
 use crate::frames::geodesy::SiteFrame;
 use crate::lie::{Se3, Vec3};
 use crate::sensors::{GnssFix, Reading};
@@ -46,27 +47,28 @@ impl Sky {
         Some((index, interval, part))
     }
 
-    /// Consecutive intervals from 0 to `duration_s`: start, end, `good` or what is wrong.
-    pub(super) fn conditions(&self, duration_s: f64) -> Vec<(f64, f64, &'static str)> {
-        let mut edges = vec![0.0];
-        let period_s = self.period.map_or(f64::INFINITY, Span::as_seconds);
-        let mut round_s = 0.0;
-        while round_s < duration_s {
-            edges.push(round_s);
-            for interval in &self.intervals {
-                let inside = |stamp: Stamp| round_s + stamp.as_seconds().min(period_s);
-                edges.extend([inside(interval.start), inside(interval.end)]);
+    /// Consecutive intervals from 0 to `end`: `good` or what is wrong.
+    pub(super) fn conditions(&self, end: Stamp) -> Vec<(Stamp, Stamp, &'static str)> {
+        let mut edges = vec![Stamp::default(), end];
+        let mut round = Span::default();
+        loop {
+            for edge in self.intervals.iter().flat_map(|interval| [interval.start, interval.end]) {
+                // What lies after the end of a round is never reached.
+                let edge = self.period.map_or(edge, |period| edge.min(Stamp::default() + period));
+                edges.push((edge + round).min(end));
             }
-            round_s += period_s;
+            let Some(period) = self.period else { break };
+            round = Span::from_nanos(round.as_nanos() + period.as_nanos());
+            if Stamp::default() + round >= end {
+                break;
+            }
+            edges.push(Stamp::default() + round);
         }
-        edges.retain(|edge_s| *edge_s < duration_s);
-        edges.push(duration_s);
-        edges.sort_by(f64::total_cmp);
+        edges.sort();
         edges.dedup();
-        let mut conditions: Vec<(f64, f64, &'static str)> = Vec::new();
+        let mut conditions: Vec<(Stamp, Stamp, &'static str)> = Vec::new();
         for pair in edges.windows(2) {
-            let middle = Stamp::from_seconds(0.5 * (pair[0] + pair[1]));
-            let name = self.at(middle).map_or("good", |(_, interval, _)| interval.kind.name());
+            let name = self.at(pair[0]).map_or("good", |(_, interval, _)| interval.kind.name());
             match conditions.last_mut() {
                 Some(last) if last.2 == name => last.1 = pair[1],
                 _ => conditions.push((pair[0], pair[1], name)),
@@ -118,7 +120,7 @@ impl Receiver {
             return Solution::Fixed { extra: 0.0 };
         };
         let wave = |period_s: f64| {
-            0.5 - 0.5 * (std::f64::consts::TAU * stamp.seconds_since(interval.start) / period_s).cos()
+            0.5 - 0.5 * libm::cos(std::f64::consts::TAU * stamp.seconds_since(interval.start) / period_s)
         };
         match interval.kind {
             GnssConditionKind::Blocked => Solution::Missing,
@@ -182,7 +184,7 @@ impl AntennaSource {
             let heading = offsets.uniform(0.0, std::f64::consts::TAU);
             let size_m = offsets.uniform(CONFIDENT_OFFSET_M[0], CONFIDENT_OFFSET_M[1]);
             let up = offsets.uniform(-0.5, 0.5);
-            Vec3::new(heading.cos(), heading.sin(), up).normalize() * size_m
+            Vec3::new(libm::cos(heading), libm::sin(heading), up).normalize() * size_m
         };
         let offsets = receiver.sky.intervals.iter().map(|_| offset()).collect();
         let wander = dice.normals();
@@ -195,7 +197,8 @@ impl Source for AntennaSource {
     fn read(&mut self, stamp: Stamp, bodies: &Bodies) -> Option<Reading> {
         let white = self.dice.normals();
         let drive = self.dice.normals();
-        let memory = self.last_stamp.map_or(1.0, |last| (-stamp.seconds_since(last) / WANDER_TIME_S).exp());
+        let memory =
+            self.last_stamp.map_or(1.0, |last| libm::exp(-stamp.seconds_since(last) / WANDER_TIME_S));
         self.wander = self.wander * memory + drive * (1.0 - memory * memory).sqrt();
         self.last_stamp = Some(stamp);
         let usual = Vec3::from_row_slice(&self.specification.sigma_enu_m);

@@ -25,7 +25,7 @@ impl Jet {
     }
 
     pub(super) fn sin_cos(self) -> (Self, Self) {
-        let (sin, cos) = self.value.sin_cos();
+        let (sin, cos) = libm::sincos(self.value);
         (self.through([sin, cos, -sin]), self.through([cos, -sin, -cos]))
     }
 
@@ -37,7 +37,7 @@ impl Jet {
         let numerator_rate = x.value * y.acceleration - y.value * x.acceleration;
         let rate = numerator / squared.value;
         let acceleration = (numerator_rate - rate * squared.rate) / squared.value;
-        Self::new(y.value.atan2(x.value), rate, acceleration)
+        Self::new(libm::atan2(y.value, x.value), rate, acceleration)
     }
 }
 

@@ -15,16 +15,15 @@ mod path;
 mod rigid;
 mod scenario;
 mod sensor;
+mod specification;
 mod write;
 
 #[cfg(test)]
 mod tests;
 
 pub use rigid::RigidMotion;
-pub use scenario::{
-    Action, CabinTurn, Gnss, GnssCondition, GnssConditionKind, Imu, LidarOdometry, Machine, Scenario,
-    ScenarioFile, Sensors,
-};
+pub use scenario::{Action, GnssCondition, GnssConditionKind, Machine, Scenario, ScenarioFile};
+pub use specification::{CabinTurn, Gnss, Imu, LidarOdometry, Sensors};
 pub use write::{Progress, write};
 
 use crate::config;
@@ -111,7 +110,7 @@ impl Simulation {
         let cabin_from_lidar = *frames.cabin_from_lidar.pose::<(), ()>().motion();
         let lidar = LidarSource::new(cabin_from_lidar, sensors.lidar_odometry, dice("lidar_odometry/noise"));
         // In the order of `Sensor`, which settles ties.
-        let mut sources: Vec<(scenario::Timing, &str, Box<dyn Source>)> = Vec::new();
+        let mut sources: Vec<(specification::Timing, &str, Box<dyn Source>)> = Vec::new();
         let cabin_imu = imu(Carrier::Cabin, &frames.cabin_from_imu, sensors.imu, "imu");
         sources.push((sensors.imu.timing(), "imu/clock", Box::new(cabin_imu)));
         let base_imu = imu(Carrier::Base, &frames.base_from_base_imu, sensors.base_imu, "base_imu");
@@ -151,10 +150,9 @@ impl Simulation {
         self
     }
 
-    /// What GNSS is like from 0 to `duration_s`: consecutive intervals (start, end, `good` or the
-    /// scenario's word), s.
-    pub fn gnss_conditions(&self, duration_s: f64) -> Vec<(f64, f64, &'static str)> {
-        self.sky.conditions(duration_s)
+    /// What GNSS is like from 0 to `end`: consecutive intervals, each `good` or with the scenario's word.
+    pub fn gnss_conditions(&self, end: Stamp) -> Vec<(Stamp, Stamp, &'static str)> {
+        self.sky.conditions(end)
     }
 
     /// What is true at `stamp`.

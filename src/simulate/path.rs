@@ -32,7 +32,7 @@ impl Path {
         for index in 0..last * LENGTH_STEPS {
             let middle = (index as f64 + 0.5) / LENGTH_STEPS as f64;
             let [x, y] = [0, 1].map(|axis| path.derivatives(axis, middle)[1]);
-            way += x.hypot(y) / LENGTH_STEPS as f64;
+            way += libm::hypot(x, y) / LENGTH_STEPS as f64;
             path.length.push(way);
         }
         path
@@ -89,9 +89,9 @@ fn basis(degree: usize, local: f64) -> [f64; DEGREE + 1] {
     weights[0] = 1.0;
     for order in 1..=degree {
         let mut carried = 0.0;
-        for index in 0..order {
-            let share = weights[index] / order as f64;
-            weights[index] = carried + (index as f64 + 1.0 - local) * share;
+        for (index, weight) in weights.iter_mut().enumerate().take(order) {
+            let share = *weight / order as f64;
+            *weight = carried + (index as f64 + 1.0 - local) * share;
             carried = (local + (order - index) as f64 - 1.0) * share;
         }
         weights[order] = carried;

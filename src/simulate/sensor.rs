@@ -2,7 +2,7 @@
 
 use super::dice::Dice;
 use super::motion::Bodies;
-use super::scenario::{CabinTurn, Imu, LidarOdometry};
+use super::specification::{CabinTurn, Imu, LidarOdometry};
 use crate::frames::Pose;
 use crate::lie::{Se3, So3, Vec3};
 use crate::sensors::{self, ImuSample, LidarPose, Reading};
@@ -143,11 +143,12 @@ impl Engine {
         let slow = std::f64::consts::TAU / Self::SPEED_PERIOD_S;
         // The phase is the integral of the frequency, middle + half range * sin.
         let [middle_hz, half_range_hz] = self.frequency_hz;
-        let turns = middle_hz * time_s - half_range_hz / slow * (slow * time_s + self.slow_phases[0]).cos();
+        let turns =
+            middle_hz * time_s - half_range_hz / slow * libm::cos(slow * time_s + self.slow_phases[0]);
         let phase = std::f64::consts::TAU * turns.fract();
-        let load = (std::f64::consts::TAU / Self::LOAD_PERIOD_S * time_s + self.slow_phases[1]).sin();
+        let load = libm::sin(std::f64::consts::TAU / Self::LOAD_PERIOD_S * time_s + self.slow_phases[1]);
         let amplitude = self.amplitude[0] + self.amplitude[1] * load;
-        let wave = self.phases.map(|axis| (phase + axis).sin());
+        let wave = self.phases.map(|axis| libm::sin(phase + axis));
         [
             self.direction_of_rate.component_mul(&wave) * self.amplitude_radps,
             self.direction.component_mul(&wave) * amplitude,

@@ -43,7 +43,8 @@ fn write_machine(
     mut report: impl FnMut(f64),
 ) -> io::Result<()> {
     let duration_s = scenario.file.duration_s;
-    let mut simulation = Simulation::new(scenario, index).ending_at(Stamp::from_seconds(duration_s));
+    let end = Stamp::from_seconds(duration_s);
+    let mut simulation = Simulation::new(scenario, index).ending_at(end);
     let mut log = LogFolderWriter::create(directory)?;
     let mut imu_truth = Target::create(directory, "truth_imu.tum")?;
     let mut base_truth = Target::create(directory, "truth_base.tum")?;
@@ -67,8 +68,8 @@ fn write_machine(
     let mut gnss_truth = Target::create(directory, "gnss_truth.csv")?;
     gnss_truth.write(|writer| {
         writeln!(writer, "start_s,end_s,condition")?;
-        for (start_s, end_s, condition) in simulation.gnss_conditions(duration_s) {
-            writeln!(writer, "{start_s},{end_s},{condition}")?;
+        for (from, to, condition) in simulation.gnss_conditions(end) {
+            writeln!(writer, "{from},{to},{condition}")?;
         }
         writer.flush()
     })?;
