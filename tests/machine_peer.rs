@@ -11,7 +11,7 @@ use holdfast::machine::{Machine, Options, Source};
 use holdfast::record::{RecordWriter, Recorded};
 use holdfast::sensors::{Arrival, ImuSample, Reading, Sensor};
 use holdfast::simulate::{Scenario, Simulation};
-use holdfast::time::{Span, Stamp};
+use holdfast::time::Stamp;
 use holdfast::wire::{
     Attachment, Key, Odometry, RosMessage, Topic, WireError, alive_selector, decode_event, decode_reading,
     decode_report, encode_reading, topic_key,
@@ -282,7 +282,6 @@ async fn machine_starts_without_its_site_is_found_when_it_comes_and_stops_at_onc
     peer.stop().await;
     assert!(stopped.elapsed() < Duration::from_secs(5), "{:?}", stopped.elapsed());
     link::close(site).await;
-    let _ = Span::default();
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -304,4 +303,52 @@ async fn sources_that_cannot_be_played_are_refused_by_name() {
     assert!(message.contains("holds no readings of nobody, but of: somebody"), "{message}");
     let message = refused(PathBuf::from("/nowhere/s.mcap"), None).await;
     assert!(message.contains("/nowhere/s.mcap: cannot be opened"), "{message}");
+}
+
+/// The binary, as a process of its own; killed with the test.
+struct Process(std::process::Child);
+
+impl Process {
+    fn machine(endpoint: &str) -> Self {
+        let scenario = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("config/scenarios/demo.toml");
+        let child = std::process::Command::new(env!("CARGO_BIN_EXE_holdfast"))
+            .args(["machine", "--machine", "walker-1", "--connect", endpoint, "--scenario"])
+            .arg(scenario)
+            .stderr(std::process::Stdio::null())
+            .spawn()
+            .expect("spawn");
+        Self(child)
+    }
+
+    fn signal(&self, name: &str) {
+        let kill = std::process::Command::new("kill").arg(name).arg(self.0.id().to_string()).status();
+        assert!(kill.expect("kill").success());
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn process_ends_cleanly_on_a_signal_and_its_death_is_seen() {
+    let mut observer = Observer::open().await;
+    for signal in ["-INT", "-TERM", "-KILL"] {
+        let mut process = Process::machine(&observer.endpoint);
+        let (kind, alive) = observer.token().await;
+        assert_eq!(kind, SampleKind::Put, "{signal}");
+        while Key::parse(&observer.sample().await.key).is_err() {}
+        process.signal(signal);
+        let signalled = std::time::Instant::now();
+        assert_eq!(observer.token().await, (SampleKind::Delete, alive), "{signal}");
+        assert!(signalled.elapsed() < Duration::from_secs(2), "{signal}: {:?}", signalled.elapsed());
+        let status =
+            tokio::task::spawn_blocking(move || process.0.wait()).await.expect("join").expect("wait");
+        assert_eq!(status.success(), signal != "-KILL", "{signal}: {status}");
+        while observer.samples.try_recv().is_ok() {}
+    }
+    link::close(observer.session).await;
 }

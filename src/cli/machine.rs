@@ -7,6 +7,8 @@ use crate::config;
 use crate::machine::{self, Options, Source};
 use crate::simulate::Scenario;
 
+use super::logging;
+
 /// Run one excavator's peer: estimate its position and publish it to the site
 ///
 /// Readings come from drivers that publish over Zenoh (the default; see link.listen in the machine file),
@@ -41,14 +43,14 @@ pub struct Arguments {
 /// # Errors
 /// A file cannot be used, or the peer cannot be started.
 pub fn run(arguments: Arguments) -> Result<(), Box<dyn Error>> {
+    logging::start();
     let options = options(arguments)?;
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
-    let report = runtime.block_on(async {
+    runtime.block_on(async {
         let shutdown = shutdown_signal()?;
-        machine::run(options, shutdown).await.map_err(Box::<dyn Error>::from)
-    })?;
-    eprintln!("{report}");
-    Ok(())
+        machine::run(options, shutdown).await?;
+        Ok(())
+    })
 }
 
 fn options(arguments: Arguments) -> Result<Options, Box<dyn Error>> {

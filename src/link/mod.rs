@@ -63,7 +63,13 @@ fn settings(listen: &[String], connect: &[String], lease_ms: u64) -> Result<zeno
         "scouting": { "multicast": { "enabled": false }, "gossip": { "enabled": false } },
         "transport": { "link": { "tx": { "lease": lease_ms, "keep_alive": KEEP_ALIVES } } },
     });
-    zenoh::Config::from_json5(&settings.to_string()).map_err(|error| LinkError::Settings(error.to_string()))
+    zenoh::Config::from_json5(&settings.to_string()).map_err(|error| LinkError::Settings(reason(&error)))
+}
+
+/// What Zenoh says, without the line of its source with which it ends.
+pub fn reason(error: &zenoh::Error) -> String {
+    let text = error.to_string();
+    text.split(" at /").next().unwrap_or_default().trim_end_matches('.').to_owned()
 }
 
 /// Opens a session. For one that dials, this does not wait until somebody answers.
@@ -71,7 +77,7 @@ fn settings(listen: &[String], connect: &[String], lease_ms: u64) -> Result<zeno
 /// # Errors
 /// [`LinkError::Open`].
 pub async fn open(settings: zenoh::Config) -> Result<zenoh::Session, LinkError> {
-    zenoh::open(settings).await.map_err(|error| LinkError::Open(error.to_string()))
+    zenoh::open(settings).await.map_err(|error| LinkError::Open(reason(&error)))
 }
 
 /// Closes a session and waits for it, though not for ever: on a dead link it would take long. Everything that
@@ -79,7 +85,7 @@ pub async fn open(settings: zenoh::Config) -> Result<zenoh::Session, LinkError> 
 pub async fn close(session: zenoh::Session) {
     match tokio::time::timeout(CLOSE_TIMEOUT, session.close()).await {
         Ok(Ok(())) => {}
-        Ok(Err(error)) => tracing::warn!(%error, "the Zenoh session did not close cleanly"),
+        Ok(Err(error)) => tracing::warn!(error = reason(&error), "the Zenoh session did not close cleanly"),
         Err(_) => {
             tracing::warn!(timeout_s = CLOSE_TIMEOUT.as_secs_f64(), "the Zenoh session did not close in time")
         }
@@ -109,6 +115,6 @@ mod tests {
     #[test]
     fn endpoint_that_is_none_is_refused_by_name() {
         let message = site_config(&["127.0.0.1".to_owned()], 2000).expect_err("no protocol").to_string();
-        assert!(message.contains("127.0.0.1"), "{message}");
+        assert!(message.ends_with(": 127.0.0.1"), "{message}");
     }
 }

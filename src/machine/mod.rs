@@ -99,7 +99,7 @@ impl Machine {
             .liveliness()
             .declare_token(key.clone())
             .await
-            .map_err(|error| LinkError::Declare { key, reason: error.to_string() })?;
+            .map_err(|error| LinkError::Declare { key, reason: link::reason(&error) })?;
         tracing::info!(
             machine = %machine.id,
             %boot,

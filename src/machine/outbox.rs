@@ -16,7 +16,7 @@ use super::clock::Clock;
 use super::counters::Counters;
 use crate::config;
 use crate::frames::{Cabin, Imu, Odom, Pose, World};
-use crate::link::LinkError;
+use crate::link::{self, LinkError};
 use crate::sensors::Arrival;
 use crate::state::{Estimate, Event, GnssState, Health, Mode};
 use crate::time::{Span, Stamp};
@@ -151,7 +151,7 @@ async fn declare(
         .priority(priority)
         .encoding(encoding)
         .await
-        .map_err(|error| LinkError::Declare { key, reason: error.to_string() })
+        .map_err(|error| LinkError::Declare { key, reason: link::reason(&error) })
 }
 
 struct Channel {

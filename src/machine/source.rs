@@ -18,7 +18,7 @@ use super::outbox::Outlets;
 use super::pipeline::Inlet;
 use crate::config;
 use crate::import::{self, ImportError};
-use crate::link::LinkError;
+use crate::link::{self, LinkError};
 use crate::record::{self, RecordError};
 use crate::sensors::{Arrival, Reading, Sensor};
 use crate::simulate::{Scenario, Simulation};
@@ -246,7 +246,7 @@ async fn subscribe(
         .allowed_origin(Locality::Remote)
         .callback(move |sample| drivers.take(&sample))
         .await;
-    declared.map_err(|error| LinkError::Declare { key, reason: error.to_string() })
+    declared.map_err(|error| LinkError::Declare { key, reason: link::reason(&error) })
 }
 
 impl Drivers {
