@@ -155,7 +155,13 @@ export interface Delta {
   dropped: number;
 }
 
-export type LiveMessage = Snapshot | Delta;
+/** The answer to a request of ours that the site did not understand; everything goes on as before. */
+export interface LiveError {
+  type: "error";
+  detail: string;
+}
+
+export type LiveMessage = Snapshot | Delta | LiveError;
 
 export interface SessionView {
   id: string;

@@ -10,7 +10,7 @@ import type { Severity } from "../api/types";
 import type { Metres } from "../geometry/geodesy";
 import { type Extent, type GridLine, gridLines, roundStep, scaleBar } from "../geometry/grid";
 import type { Desk } from "../store/context";
-import { isStale } from "../store/freshness";
+import { isStale, shownSeverity } from "../store/freshness";
 import type { State } from "../store/store";
 import type { Palette } from "./palette";
 import { axisOf, buildShapes, machinesExtent } from "./scene";
@@ -174,10 +174,11 @@ export class PlanPainter {
     const body_px = LABEL_LIFT_M / this.view.metresPerPixel();
     const lift_px = Math.min(LABEL_LIFT_MAX_PX, Math.max(LABEL_LIFT_MIN_PX, body_px));
     return [...state.machines].flatMap(([id, machine]) => {
-      const { pose, name, severity, state_word: word } = machine.view;
+      const { pose, name, state_word: word } = machine.view;
       if (pose === null) return [];
       const [x, y] = this.view.toPixels(axisOf(pose));
       const stale = isStale(state, machine);
+      const severity = shownSeverity(state, machine);
       const selected = id === this.desk.choices.selected.value;
       return [{ id, name, word, severity, stale, selected, x, y: y - lift_px }];
     });
