@@ -221,6 +221,7 @@ async function killOne(watched) {
 async function ending(origin) {
   const watched = await Watched.open(browser, origin);
   await watched.page.locator(".card[data-machine]").first().waitFor({ timeout: 10_000 });
+  await painted(watched.page);
   await checks.check("Ctrl-C ends the demo with exit 0", async () => {
     const { code, signal } = await demo.interrupt(END_WITHIN_MS);
     if (code !== 0) throw new Error(`it ended with ${code ?? signal}`);
@@ -230,9 +231,10 @@ async function ending(origin) {
       () =>
         document.querySelector('[data-link="lost"]') !== null &&
         document.querySelector('[data-banner="link"]') !== null &&
-        document.querySelectorAll(".card:not(.stale-card)").length === 0,
+        document.querySelectorAll(".card:not(.stale-card)").length === 0 &&
+        document.querySelectorAll(".card > .fields .field:not(.stale)").length === 0,
       undefined,
-      5_000,
+      10_000,
     );
   });
   await watched.screenshot(options.screenshots, "site-lost");
