@@ -1,9 +1,27 @@
 //! holdfast tells a construction site where each of its excavators is, to the centimetre, also when GNSS
 //! lets go. `src/README.md` is the map of the rooms; imports only look down.
 
+pub mod cli;
 pub mod config;
+pub mod estimator;
+pub mod export;
+pub mod factors;
+pub mod fleet;
 pub mod frames;
+pub mod import;
 pub mod lie;
+#[cfg(feature = "shells")]
+pub mod link;
+#[cfg(feature = "shells")]
+pub mod machine;
+pub mod preintegration;
+pub mod record;
+pub mod replay;
 pub mod sensors;
+pub mod simulate;
+#[cfg(feature = "shells")]
+pub mod site;
+pub mod smoother;
 pub mod state;
 pub mod time;
+pub mod wire;

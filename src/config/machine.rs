@@ -3,9 +3,16 @@
 use serde::{Deserialize, Serialize};
 
 use super::{Checked, Violation, identifier, positive, violation, within};
-use crate::frames::Pose;
+use crate::estimator::{self, GateOptions};
 use crate::frames::geodesy::{Geodetic, SiteFrame};
+use crate::frames::{self, Cabin, Pose};
 use crate::lie::{Se3, So3, Vec3};
+use crate::preintegration::ImuNoise;
+use crate::smoother;
+use crate::time::Span;
+
+/// IMU samples further apart than so many periods are a gap.
+const GAP_PERIODS: f64 = 2.5;
 
 /// One excavator.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -188,6 +195,9 @@ pub struct Link {
     pub site: String,
     /// Zenoh endpoints to dial, such as `tcp/127.0.0.1:7447`.
     pub connect: Vec<String>,
+    /// Zenoh endpoints on which drivers may publish readings, such as `tcp/127.0.0.1:7448`; whoever reaches
+    /// them is believed.
+    pub listen: Vec<String>,
     /// A link with no byte for so long is dead, ms.
     pub lease_ms: u64,
 }
@@ -248,7 +258,12 @@ impl Default for Publish {
 
 impl Default for Link {
     fn default() -> Self {
-        Self { site: "site".to_owned(), connect: vec!["tcp/127.0.0.1:7447".to_owned()], lease_ms: 2_000 }
+        Self {
+            site: "site".to_owned(),
+            connect: vec!["tcp/127.0.0.1:7447".to_owned()],
+            listen: Vec::new(),
+            lease_ms: 2_000,
+        }
     }
 }
 
@@ -296,6 +311,51 @@ impl Machine {
     /// What people call it.
     pub fn display_name(&self) -> &str {
         if self.name.is_empty() { &self.id } else { &self.name }
+    }
+}
+
+impl Machine {
+    /// What the estimator must know of this machine.
+    pub fn estimator_options(&self) -> estimator::Options {
+        let mounted = &self.frames;
+        let cabin_from_imu: Pose<Cabin, frames::Imu> = mounted.cabin_from_imu.pose();
+        let imu_from_cabin = cabin_from_imu.inverse();
+        let in_imu = |transform: &Transform| imu_from_cabin * Vec3::from_row_slice(&transform.translation_m);
+        let site = self.world.site_frame();
+        let noise = ImuNoise {
+            gyroscope_noise_density: self.imu.gyroscope_noise_density,
+            accelerometer_noise_density: self.imu.accelerometer_noise_density,
+            gyroscope_random_walk: self.imu.gyroscope_random_walk,
+            accelerometer_random_walk: self.imu.accelerometer_random_walk,
+            gap_s: GAP_PERIODS / self.imu.update_rate,
+        };
+        let lag = Span::from_seconds(self.smoother.lag_s);
+        estimator::Options {
+            smoother: smoother::Options::new(lag, site.gravity(), noise),
+            site,
+            imu_from_lidar: imu_from_cabin * mounted.cabin_from_lidar.pose(),
+            imu_from_cabin,
+            base_from_cabin: mounted.base_from_cabin.pose(),
+            base_from_base_imu: mounted.base_from_base_imu.pose(),
+            antenna_left: in_imu(&mounted.cabin_from_gnss_left),
+            antenna_right: mounted.cabin_from_gnss_right.as_ref().map(in_imu),
+            lidar_sigma: [
+                self.lidar_odometry.increment_sigma_deg.to_radians(),
+                self.lidar_odometry.increment_sigma_m,
+            ],
+            gate: GateOptions {
+                sigma_floor_m: self.gnss.sigma_floor_m,
+                sigma_max_m: self.gnss.sigma_max_m,
+                speed_max: self.gate.speed_max_mps,
+                fixes_to_return: self.gate.fixes_to_return,
+            },
+            initialization: estimator::Initialization {
+                static_window: Span::from_seconds(self.initialization.static_window_s),
+                heading_sigma: self.initialization.heading_sigma_deg.to_radians(),
+                accel_bias_sigma: self.initialization.accel_bias_sigma,
+                gyro_bias_sigma: self.initialization.gyro_bias_sigma,
+            },
+        }
     }
 }
 

@@ -26,8 +26,8 @@ pub struct Geodetic {
 impl Geodetic {
     /// Earth-centred, earth-fixed coordinates, m.
     pub fn to_ecef(self) -> Vec3 {
-        let (sin_lat, cos_lat) = self.latitude_deg.to_radians().sin_cos();
-        let (sin_lon, cos_lon) = self.longitude_deg.to_radians().sin_cos();
+        let (sin_lat, cos_lat) = libm::sincos(self.latitude_deg.to_radians());
+        let (sin_lon, cos_lon) = libm::sincos(self.longitude_deg.to_radians());
         let normal = SEMI_MAJOR_AXIS_M / (1.0 - ECCENTRICITY_SQUARED * sin_lat * sin_lat).sqrt();
         let horizontal = (normal + self.altitude_m) * cos_lat;
         Vec3::new(
@@ -39,25 +39,27 @@ impl Geodetic {
 
     /// From earth-centred, earth-fixed coordinates (m), good to 1e-9 m near the surface.
     pub fn from_ecef(ecef: &Vec3) -> Self {
-        let horizontal = ecef.x.hypot(ecef.y);
+        let horizontal = libm::hypot(ecef.x, ecef.y);
         let semi_minor = SEMI_MAJOR_AXIS_M * (1.0 - FLATTENING);
         let second_eccentricity_squared = ECCENTRICITY_SQUARED / (1.0 - ECCENTRICITY_SQUARED);
         let mut reduced_tan = ecef.z / horizontal * (SEMI_MAJOR_AXIS_M / semi_minor);
         let mut latitude = 0.0;
         for _ in 0..4 {
-            let (sin, cos) = reduced_tan.atan().sin_cos();
-            latitude = (ecef.z + second_eccentricity_squared * semi_minor * sin.powi(3))
-                .atan2(horizontal - ECCENTRICITY_SQUARED * SEMI_MAJOR_AXIS_M * cos.powi(3));
-            reduced_tan = (1.0 - FLATTENING) * latitude.tan();
+            let (sin, cos) = libm::sincos(libm::atan(reduced_tan));
+            latitude = libm::atan2(
+                ecef.z + second_eccentricity_squared * semi_minor * sin.powi(3),
+                horizontal - ECCENTRICITY_SQUARED * SEMI_MAJOR_AXIS_M * cos.powi(3),
+            );
+            reduced_tan = (1.0 - FLATTENING) * libm::tan(latitude);
         }
-        let (sin_lat, cos_lat) = latitude.sin_cos();
+        let (sin_lat, cos_lat) = libm::sincos(latitude);
         let normal = SEMI_MAJOR_AXIS_M / (1.0 - ECCENTRICITY_SQUARED * sin_lat * sin_lat).sqrt();
         // Projected on the ellipsoid's normal, which is well conditioned at every latitude.
         let altitude_m = horizontal * cos_lat + ecef.z * sin_lat
             - normal * (1.0 - ECCENTRICITY_SQUARED * sin_lat * sin_lat);
         Self {
             latitude_deg: latitude.to_degrees(),
-            longitude_deg: ecef.y.atan2(ecef.x).to_degrees(),
+            longitude_deg: libm::atan2(ecef.y, ecef.x).to_degrees(),
             altitude_m,
         }
     }
@@ -74,8 +76,8 @@ pub struct SiteFrame {
 impl SiteFrame {
     /// The frame tangent to the ellipsoid's normal at `origin`.
     pub fn new(origin: Geodetic) -> Self {
-        let (sin_lat, cos_lat) = origin.latitude_deg.to_radians().sin_cos();
-        let (sin_lon, cos_lon) = origin.longitude_deg.to_radians().sin_cos();
+        let (sin_lat, cos_lat) = libm::sincos(origin.latitude_deg.to_radians());
+        let (sin_lon, cos_lon) = libm::sincos(origin.longitude_deg.to_radians());
         let enu_from_ecef = Mat3::new(
             -sin_lon,
             cos_lon,
@@ -117,7 +119,7 @@ pub fn normal_gravity(latitude_deg: f64, altitude_m: f64) -> f64 {
     const EQUATOR: f64 = 9.780_325_335_9;
     const SOMIGLIANA: f64 = 0.001_931_852_652_41;
     const CENTRIFUGAL_RATIO: f64 = 0.003_449_786_506_84;
-    let sin_squared = latitude_deg.to_radians().sin().powi(2);
+    let sin_squared = libm::sin(latitude_deg.to_radians()).powi(2);
     let surface =
         EQUATOR * (1.0 + SOMIGLIANA * sin_squared) / (1.0 - ECCENTRICITY_SQUARED * sin_squared).sqrt();
     let ratio = altitude_m / SEMI_MAJOR_AXIS_M;

@@ -4,6 +4,9 @@
 //! tangent vectors are ordered rotation first, then translation. Formulas follow Solà, Deray and
 //! Atchuthan, "A micro Lie theory for state estimation in robotics" (2018), cited as \[S\] with its
 //! equation numbers. No frames in here: those are types of the room `frames`.
+//!
+//! Sines and their kin come from the crate `libm`, not from the system: the same inputs give the same bits on
+//! every processor.
 
 mod se3;
 mod so3;

@@ -96,7 +96,7 @@ fn coupling_block(phi: &Vec3, rho: &Vec3) -> Mat3 {
         )
     } else {
         let angle = angle_squared.sqrt();
-        let (sin, cos) = angle.sin_cos();
+        let (sin, cos) = libm::sincos(angle);
         (
             (angle - sin) / (angle_squared * angle),
             (angle_squared + 2.0 * cos - 2.0) / (2.0 * angle_squared * angle_squared),

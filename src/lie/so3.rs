@@ -9,6 +9,9 @@ use super::{Mat3, Vec3};
 /// Below this angle (rad) series replace the closed forms; their first neglected term is under 1e-16.
 const SMALL_ANGLE: f64 = 1e-4;
 
+/// So far from 1 a quaternion's length may be by rounding alone.
+const ROUNDED_LENGTH: f64 = 4.0 * f64::EPSILON;
+
 /// A rotation: maps vectors written in the child frame into the parent frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct So3 {
@@ -27,12 +30,17 @@ impl So3 {
     }
 
     /// From quaternion parts of any positive length, scalar last as in TUM files and ROS messages.
+    /// Parts that are a rotation but for rounding are kept to the bit, so that what was written comes back.
     /// `None` if they are not finite or their length is under 1e-6.
     pub fn from_xyzw(x: f64, y: f64, z: f64, w: f64) -> Option<Self> {
         let quaternion = Quaternion::new(w, x, y, z);
         let length = quaternion.norm();
-        (length.is_finite() && length > 1e-6)
-            .then(|| Self { quaternion: UnitQuaternion::from_quaternion(quaternion) })
+        let unit = if (length - 1.0).abs() < ROUNDED_LENGTH {
+            UnitQuaternion::new_unchecked(quaternion)
+        } else {
+            UnitQuaternion::from_quaternion(quaternion)
+        };
+        (length.is_finite() && length > 1e-6).then_some(Self { quaternion: unit })
     }
 
     /// Quaternion parts, scalar last, with a scalar that is never negative.
@@ -78,7 +86,7 @@ impl So3 {
             (1.0 - angle_squared / 8.0, 0.5 - angle_squared / 48.0)
         } else {
             let angle = angle_squared.sqrt();
-            let (sin, cos) = (0.5 * angle).sin_cos();
+            let (sin, cos) = libm::sincos(0.5 * angle);
             (cos, sin / angle)
         };
         let q = Quaternion::new(real, imaginary * phi.x, imaginary * phi.y, imaginary * phi.z);
@@ -95,7 +103,7 @@ impl So3 {
         let factor = if sine < 0.5 * SMALL_ANGLE {
             2.0 / real * (1.0 - sine * sine / (3.0 * real * real))
         } else {
-            2.0 * sine.atan2(real) / sine
+            2.0 * libm::atan2(sine, real) / sine
         };
         vector * factor
     }
@@ -133,7 +141,8 @@ impl So3 {
             (0.5 - angle_squared / 24.0, 1.0 / 6.0 - angle_squared / 120.0)
         } else {
             let angle = angle_squared.sqrt();
-            ((1.0 - angle.cos()) / angle_squared, (angle - angle.sin()) / (angle_squared * angle))
+            let (sin, cos) = libm::sincos(angle);
+            ((1.0 - cos) / angle_squared, (angle - sin) / (angle_squared * angle))
         };
         Mat3::identity() - hat_phi * first + hat_phi * hat_phi * second
     }
@@ -147,7 +156,8 @@ impl So3 {
         } else {
             let angle = angle_squared.sqrt();
             let half = 0.5 * angle;
-            (1.0 - half * half.cos() / half.sin()) / angle_squared
+            let (sin, cos) = libm::sincos(half);
+            (1.0 - half * cos / sin) / angle_squared
         };
         Mat3::identity() + hat_phi * 0.5 + hat_phi * hat_phi * second
     }

@@ -1,0 +1,137 @@
+//! `holdfast estimate`: a log through the estimator.
+
+use std::error::Error;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use super::{Outcome, progress};
+use crate::config::{self, Machine};
+use crate::import::read_log_folder;
+use crate::record::{self, read_arrivals};
+use crate::replay::{Outputs, Summary};
+use crate::sensors::Arrival;
+
+/// Run the estimator over a log and write poses, events and a summary
+///
+/// LOG is a folder of CSV files (imu.csv, gnss_left.csv, ...; all but imu.csv optional) or an MCAP recording
+/// of holdfast. Writes to DIR: world.tum, odom.tum and base_odom.tum (one pose for each IMU sample, as it would
+/// have been published live), estimate.csv (with biases and standard deviations), events.jsonl, summary.json.
+/// The same log and machine file give the same bytes, times in summary.json apart.
+///
+/// Exit codes: 0 done, 1 failed, 2 bad arguments or machine file, 3 done, but some data was bad or lost.
+#[derive(Debug, clap::Args)]
+pub struct Arguments {
+    /// Log folder, or MCAP recording of holdfast
+    pub log: PathBuf,
+    /// Machine file, such as config/machines/rtk-drive.toml
+    #[arg(long, value_name = "TOML")]
+    pub machine: PathBuf,
+    /// Folder to write to; made if it is not there
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Play the log at the speed it was recorded, with prediction and update on two threads as on a machine
+    #[arg(long)]
+    pub realtime: bool,
+    /// Estimator to run
+    #[arg(long, value_enum, default_value_t = Method::Dual)]
+    pub method: Method,
+}
+
+/// Estimators that can be run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Method {
+    /// Graph-based estimator of this project
+    Dual,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// The log or the machine file cannot be used, or a file cannot be written.
+pub fn run(arguments: Arguments) -> Result<Outcome, Box<dyn Error>> {
+    let machine: Machine = config::load(&arguments.machine)?;
+    let (arrivals, lost_bytes) = read(&arguments.log, &machine)?;
+    let begin = arrivals.first().map(|arrival| arrival.arrival);
+    let end = arrivals.last().map(|arrival| arrival.arrival);
+    let (Some(begin), Some(end)) = (begin, end) else {
+        return Err(format!("{}: has no readings of {}", arguments.log.display(), machine.id).into());
+    };
+    let log_s = end.seconds_since(begin).max(1e-9);
+    let mut outputs = Outputs::create(&arguments.out)?;
+    let bar = progress::bar();
+    let show = |data_s: f64| {
+        bar.set_message(format!("{data_s:.0} s of {log_s:.0} s"));
+        bar.set_position((1000.0 * data_s / log_s) as u64);
+    };
+    let options = machine.estimator_options();
+    let summary = if arguments.realtime {
+        super::realtime::run(&arrivals, options, &mut outputs, show)?
+    } else {
+        let epoch = Instant::now();
+        let clock = move || u64::try_from(epoch.elapsed().as_nanos()).unwrap_or(u64::MAX);
+        let arrivals = arrivals.into_iter().map(Ok::<Arrival, std::io::Error>);
+        crate::replay::run(arrivals, options, &mut outputs, clock, |progress| show(progress.data_s))?
+    };
+    bar.finish_and_clear();
+    outputs.finish(&summary)?;
+    report(&summary, &arguments.out);
+    if summary.estimates == 0 {
+        let waits_for = summary.health.waits_for.as_deref().unwrap_or("readings");
+        return Err(format!("the estimate never started: it waits for {waits_for}").into());
+    }
+    if lost_bytes > 0 {
+        eprintln!("{}: {lost_bytes} bytes could not be read", arguments.log.display());
+    }
+    Ok(if lost_bytes > 0 || summary.unfit_readings > 0 { Outcome::DataWasBad } else { Outcome::Done })
+}
+
+/// All readings of the machine in order of arrival, and how many bytes of the log were lost.
+fn read(log: &Path, machine: &Machine) -> Result<(Vec<Arrival>, u64), Box<dyn Error>> {
+    if log.is_dir() {
+        return Ok((read_log_folder(log)?.arrivals, 0));
+    }
+    let reader = read_arrivals(log, &machine.id)?;
+    let lost_bytes = reader.lost_bytes();
+    let arrivals: Vec<Arrival> = reader.collect::<Result<_, _>>()?;
+    if arrivals.is_empty() {
+        let known = record::machines(log)?.join(", ");
+        return Err(format!("{}: has no readings of {}, but of: {known}", log.display(), machine.id).into());
+    }
+    Ok((arrivals, lost_bytes))
+}
+
+fn report(summary: &Summary, out: &Path) {
+    println!(
+        "{}: {} estimates from {} IMU samples, {} updates; {:.0} s of data in {:.2} s ({:.0} times real time)",
+        out.display(),
+        summary.estimates,
+        summary.imu_samples,
+        summary.updates,
+        summary.data_s,
+        summary.wall_s,
+        summary.data_s / summary.wall_s.max(1e-9),
+    );
+    println!(
+        "predict {:.2} µs (99.9 %: {:.1}), update {:.0} µs (99 %: {:.0}), update moves prediction {:.2} ± {:.2} cm",
+        summary.predict_us.mean,
+        summary.predict_us.p999,
+        summary.update_us.mean,
+        summary.update_us.p99,
+        summary.consistency_cm.mean,
+        summary.consistency_cm.sd,
+    );
+    for outage in &summary.outages {
+        let end = outage.end_s.map_or("the end".to_owned(), |end| format!("{end:.2} s"));
+        let jump =
+            outage.jump_m.map_or(String::new(), |jump| format!(", corrected by {:.1} cm", 100.0 * jump));
+        println!(
+            "GNSS outage ({}) from {:.2} s to {end}: {:.1} m travelled{jump}",
+            outage.cause.name(),
+            outage.start_s,
+            outage.travelled_m
+        );
+    }
+    if summary.unfit_readings > 0 {
+        println!("{} readings were refused as bad data, see events.jsonl", summary.unfit_readings);
+    }
+}

@@ -1,0 +1,93 @@
+//! The command line: one file a command, each a set of arguments and a function that runs it.
+//!
+//! Results go to stdout, talk goes to stderr. Exit codes: 0 done, 1 failed, 2 bad arguments or configuration,
+//! 3 finished but data was bad or lost.
+
+mod check;
+#[cfg(feature = "shells")]
+mod demo;
+mod estimate;
+#[cfg(feature = "shells")]
+mod logging;
+#[cfg(feature = "shells")]
+mod machine;
+mod progress;
+mod realtime;
+mod simulate;
+#[cfg(feature = "shells")]
+mod site;
+
+use std::error::Error;
+use std::process::ExitCode;
+
+use clap::Parser;
+
+use crate::config::{ConfigError, Violation};
+
+/// Tells a construction site where each of its excavators is, to the centimetre, also when GNSS lets go.
+#[derive(Debug, Parser)]
+#[command(name = "holdfast", version, max_term_width = 110, arg_required_else_help = true)]
+struct CommandLine {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Command {
+    #[cfg(feature = "shells")]
+    Demo(demo::Arguments),
+    Simulate(simulate::Arguments),
+    Estimate(estimate::Arguments),
+    Check(check::Arguments),
+    #[cfg(feature = "shells")]
+    Machine(machine::Arguments),
+    #[cfg(feature = "shells")]
+    Site(site::Arguments),
+}
+
+/// How a command that did not fail has ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Outcome {
+    /// All is well.
+    Done,
+    /// Finished, but data was bad or lost.
+    DataWasBad,
+    /// A configuration file was found bad.
+    BadConfiguration,
+}
+
+/// Runs the command that the process was called with.
+pub fn main() -> ExitCode {
+    let arguments = CommandLine::parse();
+    let result = match arguments.command {
+        #[cfg(feature = "shells")]
+        Command::Demo(arguments) => demo::run(arguments).map(|()| Outcome::Done),
+        Command::Simulate(arguments) => simulate::run(arguments).map(|()| Outcome::Done),
+        Command::Estimate(arguments) => estimate::run(arguments),
+        Command::Check(arguments) => Ok(check::run(&arguments)),
+        #[cfg(feature = "shells")]
+        Command::Machine(arguments) => machine::run(arguments).map(|()| Outcome::Done),
+        #[cfg(feature = "shells")]
+        Command::Site(arguments) => site::run(arguments).map(|()| Outcome::Done),
+    };
+    match result {
+        Ok(Outcome::Done) => ExitCode::SUCCESS,
+        Ok(Outcome::BadConfiguration) => ExitCode::from(2),
+        Ok(Outcome::DataWasBad) => ExitCode::from(3),
+        Err(error) => {
+            eprintln!("holdfast: {error}");
+            exit_code(error.as_ref())
+        }
+    }
+}
+
+fn exit_code(error: &(dyn Error + 'static)) -> ExitCode {
+    let mut cause = Some(error);
+    while let Some(error) = cause {
+        if error.is::<ConfigError>() || error.is::<Violation>() {
+            return ExitCode::from(2);
+        }
+        cause = error.source();
+    }
+    ExitCode::FAILURE
+}

@@ -1,0 +1,43 @@
+//! `holdfast simulate`: a scenario as log folders with truth.
+
+use std::error::Error;
+use std::path::PathBuf;
+
+use crate::simulate::{self, Scenario};
+
+use super::progress;
+
+/// Simulate excavators: write their sensor readings and the truth
+///
+/// Writes one log folder for each machine of the scenario, DIR/MACHINE/, with the readings of all its
+/// sensors (imu.csv, gnss_left.csv, ...), the true poses of cabin IMU and chassis at every IMU sample
+/// (truth_imu.tum, truth_base.tum), and what GNSS was like (gnss_truth.csv). The same scenario gives the
+/// same bytes.
+#[derive(Debug, clap::Args)]
+pub struct Arguments {
+    /// Scenario file, such as config/scenarios/construction.toml
+    #[arg(long, value_name = "TOML")]
+    pub scenario: PathBuf,
+    /// Folder to write to; made if it is not there
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// The scenario cannot be used, or a file cannot be written.
+pub fn run(arguments: Arguments) -> Result<(), Box<dyn Error>> {
+    let scenario = Scenario::load(&arguments.scenario)?;
+    let bar = progress::bar();
+    let written = simulate::write(&scenario, &arguments.out, |progress| {
+        bar.set_message(progress.machine.to_owned());
+        bar.set_position((progress.fraction * 1000.0) as u64);
+    });
+    bar.finish_and_clear();
+    written?;
+    for id in scenario.machine_ids() {
+        println!("{}", arguments.out.join(id).display());
+    }
+    Ok(())
+}

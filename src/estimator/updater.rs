@@ -1,0 +1,463 @@
+//! The slow half: from readings to solutions.
+//!
+//! Measurements wait until the IMU has come so far, pass the gate, become factors at nodes of their exact
+//! stamps, and the smoother is brought up to date; each update ends in a [`Solution`] for the predictor.
+
+use std::collections::VecDeque;
+
+use super::gate::{Candidate, Gate, Turn};
+use super::inbox::{Admission, Inbox};
+use super::initialization::{Initializer, Start};
+use super::monitor::Monitor;
+use super::options::Options;
+use super::{IMU_GAP_MAX, Solution};
+use crate::factors::{BetweenFactor, PositionFactor};
+use crate::frames::{Lidar, Pose, World};
+use crate::lie::Vec3;
+use crate::sensors::{Arrival, GnssFix, LidarPose, Reading, Sensor};
+use crate::smoother::{Smoother, SmootherError, predicted_position_covariance};
+use crate::state::{Event, EventKind, GnssState, Health, Mode, NavState, Severity};
+use crate::time::{Span, Stamp};
+
+/// Huber's threshold of fixes that pass the gate, in sigmas.
+const HUBER_THRESHOLD: f64 = 3.0;
+/// A measurement this far ahead of the IMU has a wrong clock.
+const AHEAD_MAX: Span = Span::from_millis(1_000);
+/// Without measurements, a node is set so often, so that links stay short.
+const NODE_EVERY: Span = Span::from_millis(500);
+/// Lidar poses further apart than this are not tied: its odometry has restarted or lost much.
+const LIDAR_GAP_MAX: Span = Span::from_millis(1_100);
+/// A lidar increment that differs so much from the prediction is wrong: m, rad.
+const LIDAR_MISFIT_MAX: [f64; 2] = [0.5, 0.2];
+/// Without lidar for so long, the IMU is alone.
+const LIDAR_SILENCE: Span = Span::from_millis(1_500);
+/// Measurements that wait for the IMU, at most.
+const PENDING_MAX: usize = 1_024;
+
+/// The slow half of the estimator; see [`super::split`].
+pub struct Updater {
+    options: Options,
+    inbox: Inbox,
+    phase: Phase,
+    pending: VecDeque<Reading>,
+    monitor: Monitor,
+    now: Stamp,
+}
+
+enum Phase {
+    Waiting(Box<Initializer>),
+    Running(Box<Running>),
+}
+
+/// What exists once the estimate has started.
+struct Running {
+    smoother: Smoother,
+    gate: Gate,
+    last_lidar: Option<LidarPose>,
+    restart: bool,
+}
+
+impl Updater {
+    pub(super) fn new(options: Options) -> Self {
+        let initializer = Initializer::new(options.clone());
+        Self {
+            options,
+            inbox: Inbox::default(),
+            phase: Phase::Waiting(Box::new(initializer)),
+            pending: VecDeque::new(),
+            monitor: Monitor::default(),
+            now: Stamp::default(),
+        }
+    }
+
+    /// Takes any reading, in order of arrival. Returns a solution if it led to one.
+    pub fn push(&mut self, arrival: &Arrival) -> Option<Box<Solution>> {
+        self.now = arrival.arrival;
+        let reading = arrival.reading;
+        let sensor = reading.sensor();
+        let previous_imu = self.inbox.newest(Sensor::Imu);
+        match self.inbox.admit(arrival) {
+            Admission::Accepted => {}
+            Admission::Refused(reason) => {
+                self.monitor.note_refusal(self.now, sensor, reason);
+                return None;
+            }
+            Admission::ClockReset(reason) => {
+                if sensor == Sensor::Imu {
+                    self.begin_anew(&format!("the clock of the cabin IMU has changed: {reason}"));
+                }
+                self.monitor.note_refusal(self.now, sensor, reason);
+                return None;
+            }
+        }
+        match reading {
+            Reading::Imu(sample) => {
+                if let Some(previous) = previous_imu
+                    && sample.stamp - previous > IMU_GAP_MAX
+                {
+                    let gap_s = sample.stamp.seconds_since(previous);
+                    self.begin_anew(&format!("the cabin IMU was silent for {gap_s:.2} s"));
+                }
+                match &mut self.phase {
+                    Phase::Running(running) => running.smoother.push_sample(sample),
+                    Phase::Waiting(initializer) => {
+                        let start = initializer.push(&reading)?;
+                        return self.begin(start);
+                    }
+                }
+                self.work_off_pending(sample.stamp)
+            }
+            Reading::BaseImu(_) | Reading::CabinTurn(_) => None,
+            Reading::GnssLeft(_) | Reading::GnssRight(_) | Reading::LidarOdometry(_) => {
+                if let Phase::Waiting(initializer) = &mut self.phase {
+                    return initializer.push(&reading).and_then(|start| self.begin(start));
+                }
+                let imu = self.inbox.newest(Sensor::Imu).unwrap_or(reading.stamp());
+                if reading.stamp() <= imu {
+                    return self.process(&reading);
+                }
+                let ahead = reading.stamp() - imu;
+                if ahead > AHEAD_MAX || self.pending.len() >= PENDING_MAX {
+                    self.refuse(sensor, format!("is {:.3} s ahead of the cabin IMU", ahead.as_seconds()));
+                } else {
+                    self.pending.push_back(reading);
+                }
+                None
+            }
+        }
+    }
+
+    /// After an IMU sample: what waited for it, what has gone silent, and a node now and then.
+    fn work_off_pending(&mut self, imu: Stamp) -> Option<Box<Solution>> {
+        let mut solution = None;
+        for _ in 0..self.pending.len() {
+            let Some(reading) = self.pending.pop_front() else { break };
+            if reading.stamp() <= imu {
+                solution = self.process(&reading).or(solution);
+            } else {
+                self.pending.push_back(reading);
+            }
+        }
+        let Phase::Running(running) = &mut self.phase else { return solution };
+        let turn = running.gate.notice_silence(imu);
+        self.note_turn(turn, imu, None);
+        let Phase::Running(running) = &mut self.phase else { return solution };
+        let newest = running.smoother.newest().map_or(imu, |(stamp, _)| stamp);
+        if imu - newest > NODE_EVERY {
+            let outcome = running.smoother.node_at(imu).map(|_| ());
+            return self.finish(outcome.map(|()| true), imu).or(solution);
+        }
+        solution
+    }
+
+    fn process(&mut self, reading: &Reading) -> Option<Box<Solution>> {
+        match reading {
+            Reading::GnssLeft(fix) => self.process_left(fix),
+            Reading::GnssRight(fix) => self.process_right(fix),
+            Reading::LidarOdometry(pose) => self.process_lidar(pose),
+            Reading::Imu(_) | Reading::BaseImu(_) | Reading::CabinTurn(_) => None,
+        }
+    }
+
+    fn process_left(&mut self, fix: &GnssFix) -> Option<Box<Solution>> {
+        let Phase::Running(running) = &mut self.phase else { return None };
+        let lever_arm = self.options.antenna_left;
+        let candidate = match candidate(running, &self.options, fix, &lever_arm) {
+            Ok(candidate) => candidate,
+            Err(error) => {
+                self.refuse(Sensor::GnssLeft, error.to_string());
+                return None;
+            }
+        };
+        let before = running.gate.state();
+        let judgement = running.gate.judge(candidate);
+        let (after, used) = (running.gate.state(), judgement.used);
+        self.monitor.note_test(self.now, Sensor::GnssLeft, judgement.test_ratio);
+        if let Some(reason) = judgement.refusal {
+            self.refuse(Sensor::GnssLeft, reason);
+        }
+        self.monitor.note_gnss(fix.stamp, before, after);
+        let outcome = if used { self.add_fix(fix, &lever_arm) } else { self.bare_node(fix.stamp) };
+        let expected = candidate.expected;
+        let solution = self.finish(outcome, fix.stamp);
+        let corrected = match &self.phase {
+            Phase::Running(running) => running.smoother.state_at(fix.stamp),
+            Phase::Waiting(_) => None,
+        };
+        let jump_m = corrected.map(|state| (state.position + state.rotation * lever_arm - expected).norm());
+        self.note_turn(judgement.turn, fix.stamp, jump_m);
+        solution
+    }
+
+    fn process_right(&mut self, fix: &GnssFix) -> Option<Box<Solution>> {
+        let Phase::Running(running) = &mut self.phase else { return None };
+        let lever_arm = self.options.antenna_right?;
+        if !running.gate.trusted() {
+            return None;
+        }
+        let candidate = match candidate(running, &self.options, fix, &lever_arm) {
+            Ok(candidate) => candidate,
+            Err(error) => {
+                self.refuse(Sensor::GnssRight, error.to_string());
+                return None;
+            }
+        };
+        let ratio = running.gate.test_ratio(&candidate);
+        let refusal = running.gate.sigma_refusal(&candidate.sigma).or_else(|| {
+            let off = (candidate.position - candidate.expected).norm();
+            (ratio > 1.0)
+                .then(|| format!("is {off:.2} m from where it is expected, {ratio:.1} times the limit"))
+        });
+        self.monitor.note_test(self.now, Sensor::GnssRight, ratio);
+        if let Some(reason) = refusal {
+            self.refuse(Sensor::GnssRight, reason);
+            return None;
+        }
+        let outcome = self.add_fix(fix, &lever_arm);
+        self.finish(outcome, fix.stamp)
+    }
+
+    /// Ties a node to a fix; the fix is moved by the motion between its stamp and the node's.
+    fn add_fix(&mut self, fix: &GnssFix, lever_arm: &Vec3) -> Result<bool, SmootherError> {
+        let Phase::Running(running) = &mut self.phase else { return Ok(false) };
+        let node = running.smoother.node_at(fix.stamp)?;
+        let mut measured = self.options.site.to_enu(fix.position);
+        if node != fix.stamp
+            && let (Some(at_node), Some(at_fix)) =
+                (running.smoother.state_at(node), running.smoother.state_at(fix.stamp))
+        {
+            measured += antenna(&at_node, lever_arm) - antenna(&at_fix, lever_arm);
+        }
+        let factor = PositionFactor {
+            measured,
+            lever_arm: *lever_arm,
+            sigma: running.gate.usable_sigma(&fix.sigma_enu_m),
+            huber_threshold: HUBER_THRESHOLD,
+        };
+        running.smoother.add_position(node, factor)?;
+        Ok(true)
+    }
+
+    /// A node without measurement, if the newest has grown old.
+    fn bare_node(&mut self, stamp: Stamp) -> Result<bool, SmootherError> {
+        let Phase::Running(running) = &mut self.phase else { return Ok(false) };
+        let newest = running.smoother.newest().map_or(stamp, |(newest, _)| newest);
+        if stamp - newest <= NODE_EVERY {
+            return Ok(false);
+        }
+        running.smoother.node_at(stamp).map(|_| true)
+    }
+
+    fn process_lidar(&mut self, pose: &LidarPose) -> Option<Box<Solution>> {
+        let Phase::Running(running) = &mut self.phase else { return None };
+        let last = running.last_lidar.replace(*pose);
+        let oldest = running.smoother.oldest_stamp().unwrap_or(pose.stamp);
+        let last = last.filter(|last| last.stamp >= oldest && pose.stamp - last.stamp <= LIDAR_GAP_MAX)?;
+        let outcome = tie_lidar(&mut running.smoother, &self.options, &last, pose);
+        match outcome {
+            Ok(Ok(())) => self.finish(Ok(true), pose.stamp),
+            Ok(Err(misfit)) => {
+                self.refuse(Sensor::LidarOdometry, misfit);
+                None
+            }
+            Err(error) => {
+                if let Phase::Running(running) = &mut self.phase {
+                    running.last_lidar = Some(last);
+                }
+                self.refuse(Sensor::LidarOdometry, error.to_string());
+                None
+            }
+        }
+    }
+
+    /// Updates the smoother and makes a solution of its newest node.
+    fn finish(&mut self, outcome: Result<bool, SmootherError>, stamp: Stamp) -> Option<Box<Solution>> {
+        let Phase::Running(running) = &mut self.phase else { return None };
+        let updated = match outcome {
+            Ok(false) => return None,
+            Ok(true) => running.smoother.update(),
+            Err(error) => Err(error),
+        };
+        match updated {
+            Ok(_) => {}
+            Err(SmootherError::NotDetermined | SmootherError::NotStarted) => {
+                self.begin_anew("the estimate was no longer determined by its measurements");
+                return None;
+            }
+            Err(error) => {
+                self.monitor.note_refusal(self.now, Sensor::Imu, error.to_string());
+                return None;
+            }
+        }
+        let (newest, state) = running.smoother.newest()?;
+        if !state.is_finite() {
+            self.begin_anew("the estimate was no longer finite");
+            return None;
+        }
+        let covariance = *running.smoother.newest_covariance();
+        let restart = std::mem::take(&mut running.restart);
+        let trusted = running.gate.trusted();
+        let mode = self.mode(trusted, stamp);
+        self.monitor.note_update(newest, &state, &covariance, mode);
+        Some(Box::new(Solution { stamp: newest, state, covariance, mode, restart }))
+    }
+
+    fn mode(&self, gnss_trusted: bool, now: Stamp) -> Mode {
+        let lidar = self.inbox.newest(Sensor::LidarOdometry);
+        if gnss_trusted {
+            Mode::Main
+        } else if lidar.is_some_and(|stamp| now - stamp <= LIDAR_SILENCE) {
+            Mode::Fallback
+        } else {
+            Mode::ImuOnly
+        }
+    }
+
+    /// Starts the window and works off what came since.
+    fn begin(&mut self, start: Start) -> Option<Box<Solution>> {
+        let mut smoother = Smoother::new(self.options.smoother);
+        start.samples.iter().for_each(|sample| smoother.push_sample(*sample));
+        if let Err(error) = smoother.start(start.stamp, start.state, &start.information) {
+            self.begin_anew(&format!("the start failed: it {error}"));
+            return None;
+        }
+        let mut gate = Gate::new(self.options.gate);
+        gate.begin_trusted(start.stamp);
+        self.monitor.note_start(start.stamp, start.heading_from, start.heading_sigma);
+        self.phase = Phase::Running(Box::new(Running { smoother, gate, last_lidar: None, restart: true }));
+        let mut solution = self.finish(Ok(true), start.stamp);
+        for reading in &start.readings {
+            let newest = self.process(reading);
+            if let (Some(first), Some(newest)) = (&solution, newest) {
+                let restart = first.restart || newest.restart;
+                solution = Some(Box::new(Solution { restart, ..*newest }));
+            }
+        }
+        solution
+    }
+
+    /// Gives up the estimate and waits for a new start.
+    fn begin_anew(&mut self, reason: &str) {
+        let was_running = matches!(self.phase, Phase::Running(_));
+        self.phase = Phase::Waiting(Box::new(Initializer::new(self.options.clone())));
+        self.pending.clear();
+        if was_running {
+            self.monitor.note_restart(self.now, reason);
+        }
+    }
+
+    fn refuse(&mut self, sensor: Sensor, reason: String) {
+        self.inbox.refuse(sensor, reason.clone());
+        self.monitor.note_refusal(self.now, sensor, reason);
+    }
+
+    fn note_turn(&mut self, turn: Option<Turn>, stamp: Stamp, jump_m: Option<f64>) {
+        let Phase::Running(running) = &self.phase else { return };
+        let cause = running.gate.state();
+        match turn {
+            None => {}
+            Some(Turn::Lost { since }) => {
+                self.monitor.note_gnss(stamp, GnssState::Fixed, cause);
+                self.monitor.begin_outage(stamp, since, cause);
+            }
+            Some(Turn::Recovered) => self.monitor.end_outage(stamp, jump_m),
+        }
+        let mode = self.mode(cause == GnssState::Fixed, stamp);
+        self.monitor.note_mode(stamp, mode);
+    }
+
+    /// Health as of the newest arrival.
+    pub fn health(&self) -> Health {
+        let (waits_for, gnss) = match &self.phase {
+            Phase::Waiting(initializer) => {
+                let gnss = match self.inbox.newest(Sensor::GnssLeft) {
+                    Some(stamp) if self.now - stamp < Span::from_millis(1_500) => GnssState::Recovering,
+                    _ => GnssState::Silent,
+                };
+                (Some(initializer.waits_for().to_owned()), gnss)
+            }
+            Phase::Running(running) => (None, running.gate.state()),
+        };
+        self.monitor.health(self.now, waits_for, gnss, self.inbox.health(self.now))
+    }
+
+    /// Readings that were no measurements at all or came against the clock: bad data, unlike a fix that the
+    /// gate refused.
+    pub fn unfit_readings(&self) -> u64 {
+        self.inbox.unfit()
+    }
+
+    /// Events since the last call, oldest first.
+    pub fn take_events(&mut self) -> Vec<Event> {
+        self.monitor.take_events()
+    }
+
+    /// Tells how long the last update took by the caller's clock; the estimator has none.
+    pub fn note_update_time(&mut self, micros: f64) {
+        self.monitor.note_update_time(micros);
+    }
+
+    /// Adds an event of the caller's.
+    pub fn note_event(&mut self, severity: Severity, what: EventKind) {
+        self.monitor.push(Event::new(self.now, severity, what));
+    }
+}
+
+fn antenna(state: &NavState, lever_arm: &Vec3) -> Vec3 {
+    state.position + state.rotation * *lever_arm
+}
+
+fn candidate(
+    running: &Running,
+    options: &Options,
+    fix: &GnssFix,
+    lever_arm: &Vec3,
+) -> Result<Candidate, SmootherError> {
+    let oldest = running.smoother.oldest_stamp().unwrap_or(fix.stamp);
+    let behind_s = oldest.seconds_since(fix.stamp);
+    let (state, covariance) =
+        running.smoother.predict(fix.stamp).ok_or(SmootherError::TooOld { behind_s })?;
+    Ok(Candidate {
+        stamp: fix.stamp,
+        position: options.site.to_enu(fix.position),
+        sigma: fix.sigma_enu_m,
+        expected: antenna(&state, lever_arm),
+        expected_covariance: predicted_position_covariance(&state, &covariance, lever_arm),
+    })
+}
+
+/// Ties the nodes of two lidar poses. The inner error says how the increment misfits the prediction.
+fn tie_lidar(
+    smoother: &mut Smoother,
+    options: &Options,
+    from: &LidarPose,
+    to: &LidarPose,
+) -> Result<Result<(), String>, SmootherError> {
+    let earlier = smoother.node_at(from.stamp)?;
+    let later = smoother.node_at(to.stamp)?;
+    if later <= earlier {
+        return Ok(Ok(()));
+    }
+    let lidar_at = |stamp: Stamp| -> Option<Pose<World, Lidar>> {
+        Some(smoother.state_at(stamp)?.world_from_imu() * options.imu_from_lidar)
+    };
+    let states = (lidar_at(earlier), lidar_at(from.stamp), lidar_at(to.stamp), lidar_at(later));
+    let (Some(at_earlier), Some(at_from), Some(at_to), Some(at_later)) = states else {
+        return Err(SmootherError::NotStarted);
+    };
+    let seen = from.lidarmap_from_lidar.inverse() * to.lidarmap_from_lidar;
+    let misfit = (at_from.inverse() * at_to).inverse() * seen;
+    let (shift_m, turn) = (misfit.translation().norm(), misfit.rotation().log().norm());
+    if shift_m > LIDAR_MISFIT_MAX[0] || turn > LIDAR_MISFIT_MAX[1] {
+        return Ok(Err(format!(
+            "its increment is {shift_m:.2} m and {:.1}° from the predicted one",
+            turn.to_degrees()
+        )));
+    }
+    // From the stamps of the poses to those of the nodes, by the motion in between.
+    let measured = (at_earlier.inverse() * at_from) * seen * (at_to.inverse() * at_later);
+    let factor =
+        BetweenFactor { measured, imu_from_lidar: options.imu_from_lidar, sigma: options.lidar_sigma };
+    smoother.add_between(earlier, later, factor)?;
+    Ok(Ok(()))
+}

@@ -1,0 +1,165 @@
+//! The excavator's peer: readings in, estimates out, on the machine itself.
+//!
+//! Four things run, each owned by one thread or task and joined by bounded channels:
+//!
+//! ```text
+//! source ──readings──▶ predictor ──readings──▶ updater          (threads of std)
+//!                       ▲   │  └──readings, estimates──▶ outbox  (task of tokio, owns the session's
+//!                       └─solutions─┘  health, events ──▶          publishers)
+//! ```
+//!
+//! The predictor never waits for any of the others: what does not fit into a channel is counted and told.
+//! The estimator never runs on Zenoh's threads, and nothing is put on the network from the estimator's.
+//! What the estimate is worth is decided in the `estimator` room; what the fleet shows, on the site.
+
+mod clock;
+mod counters;
+mod outbox;
+mod pipeline;
+mod source;
+
+use std::future::Future;
+use std::sync::Arc;
+
+use zenoh::liveliness::LivelinessToken;
+
+use crate::link::{self, LinkError};
+use crate::wire::{BootId, alive_key};
+use crate::{config, estimator};
+
+pub use counters::Report;
+pub use source::{Source, SourceError};
+
+use clock::Clock;
+use counters::Counters;
+use outbox::Outbox;
+use pipeline::Pipeline;
+use source::Feed;
+
+/// What a machine's peer needs to start.
+pub struct Options {
+    /// The machine file.
+    pub machine: config::Machine,
+    /// Where its readings come from.
+    pub source: Source,
+    /// How fast a played source passes; 1 is real time. Live readings come as they come.
+    pub speed: f64,
+}
+
+/// Why a machine's peer does not run.
+#[derive(Debug, thiserror::Error)]
+pub enum MachineError {
+    /// The link to the site.
+    #[error(transparent)]
+    Link(#[from] LinkError),
+    /// The source of readings.
+    #[error(transparent)]
+    Source(#[from] SourceError),
+    /// The system gives no thread.
+    #[error("the thread of the {name} cannot be started: {source}")]
+    Thread {
+        /// Whose thread.
+        name: &'static str,
+        /// What the system says.
+        source: std::io::Error,
+    },
+}
+
+/// A running peer.
+pub struct Machine {
+    boot: BootId,
+    session: zenoh::Session,
+    token: LivelinessToken,
+    feed: Feed,
+    pipeline: Pipeline,
+    outbox: Outbox,
+    counters: Arc<Counters>,
+}
+
+impl Machine {
+    /// Opens the session and starts threads and tasks. Needs a tokio runtime of several threads, as Zenoh does.
+    ///
+    /// # Errors
+    /// [`MachineError`] if the session cannot be opened or the source cannot be read. That the site does not
+    /// answer is no error: it is dialled until it does.
+    pub async fn start(options: Options) -> Result<Self, MachineError> {
+        let Options { machine, source, speed } = options;
+        // The source first: a missing file should not show on the site as a machine that came and went.
+        let prepared = source.prepare(&machine)?;
+        let session = link::open(link::machine_config(&machine.link)?).await?;
+        let boot = random_boot();
+        let clock = Clock::new(prepared.is_played().then_some(speed));
+        let counters = Arc::new(Counters::default());
+        let (outbox, outlets) = Outbox::start(&session, &machine, boot, clock, Arc::clone(&counters)).await?;
+        let (predictor, updater) = estimator::split(machine.estimator_options());
+        let (pipeline, inlet) = Pipeline::start(predictor, updater, outlets.clone(), Arc::clone(&counters))?;
+        let feed = prepared.start(&session, &machine, inlet, outlets, clock, Arc::clone(&counters)).await?;
+        let key = alive_key(&machine.link.site, &machine.id, boot);
+        let token = session
+            .liveliness()
+            .declare_token(key.clone())
+            .await
+            .map_err(|error| LinkError::Declare { key, reason: error.to_string() })?;
+        tracing::info!(
+            machine = %machine.id,
+            %boot,
+            site = %machine.link.site,
+            connect = ?machine.link.connect,
+            "the machine's peer runs"
+        );
+        Ok(Self { boot, session, token, feed, pipeline, outbox, counters })
+    }
+
+    /// This run.
+    pub fn boot(&self) -> BootId {
+        self.boot
+    }
+
+    /// Where drivers can reach the machine: its listening endpoints with the ports that they got.
+    pub async fn listening_on(&self) -> Vec<String> {
+        self.session.info().locators().await.iter().map(ToString::to_string).collect()
+    }
+
+    /// Waits until the source has ended; live sources and repeating scenarios do not.
+    pub async fn source_ended(&mut self) {
+        self.feed.ended().await;
+    }
+
+    /// Ends everything in the order of the flow, so that what was read is still estimated and sent: source,
+    /// predictor, updater, outbox, token, session.
+    pub async fn stop(self) -> Report {
+        let Self { boot, session, token, feed, pipeline, outbox, counters } = self;
+        feed.stop().await;
+        pipeline.stop().await;
+        let published = outbox.stop().await;
+        if let Err(error) = token.undeclare().await {
+            tracing::warn!(%error, "the liveliness token could not be taken back");
+        }
+        link::close(session).await;
+        let report = counters.report(published);
+        tracing::info!(%boot, %report, "the machine's peer has ended");
+        report
+    }
+}
+
+/// Runs a machine's peer until its source ends or `shutdown` does.
+///
+/// # Errors
+/// As [`Machine::start`].
+pub async fn run(options: Options, shutdown: impl Future<Output = ()>) -> Result<Report, MachineError> {
+    let mut machine = Machine::start(options).await?;
+    tokio::select! {
+        () = shutdown => {}
+        () = machine.source_ended() => {}
+    }
+    Ok(machine.stop().await)
+}
+
+/// Differs from run to run; the standard library's hasher is seeded by the system.
+fn random_boot() -> BootId {
+    use std::hash::{BuildHasher, Hasher};
+    let mut hasher = std::hash::RandomState::new().build_hasher();
+    hasher.write_u32(std::process::id());
+    hasher.write_i64(clock::wall().as_nanos());
+    BootId(hasher.finish())
+}

@@ -1,0 +1,344 @@
+//! Publishes what the machine knows. The only place that puts anything on the network.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use tokio::sync::{mpsc, watch};
+use tokio::task::JoinHandle;
+use tokio::time::MissedTickBehavior;
+use zenoh::bytes::Encoding;
+use zenoh::pubsub::Publisher;
+use zenoh::qos::{CongestionControl, Priority};
+
+use super::clock::Clock;
+use super::counters::Counters;
+use crate::config;
+use crate::frames::{Cabin, Imu, Odom, Pose, World};
+use crate::link::LinkError;
+use crate::sensors::Arrival;
+use crate::state::{Estimate, Event, GnssState, Health, Mode};
+use crate::time::{Span, Stamp};
+use crate::wire::{
+    Attachment, BootId, MachineReport, RigidMotion, RosMessage, Topic, encode_json, encode_reading,
+    odom_message, pose_message, topic_key,
+};
+
+/// Estimates and readings on the way out: some two seconds of them. Full, it refuses.
+const STREAM_QUEUE: usize = 1024;
+/// Events on the way out. Full, it refuses.
+const EVENT_QUEUE: usize = 256;
+/// Health goes out at least so often.
+const HEALTH_PERIOD: Duration = Duration::from_secs(1);
+
+/// The publishing task.
+pub(super) struct Outbox {
+    task: JoinHandle<BTreeMap<Topic, u64>>,
+}
+
+/// Where the threads leave what is to be published; nothing in here waits. The task ends when the last one is
+/// dropped.
+#[derive(Clone)]
+pub(super) struct Outlets {
+    stream: mpsc::Sender<Outgoing>,
+    events: mpsc::Sender<Event>,
+    health: watch::Sender<Option<Health>>,
+    counters: Arc<Counters>,
+}
+
+/// In the order in which the predictor met it.
+#[expect(clippy::large_enum_variant, reason = "an estimate a sample is moved, not allocated")]
+enum Outgoing {
+    Estimate(Estimate),
+    Reading(Arrival),
+}
+
+impl Outlets {
+    pub(super) fn estimate(&self, estimate: Estimate) {
+        self.count(self.stream.try_send(Outgoing::Estimate(estimate)).is_ok());
+    }
+
+    pub(super) fn reading(&self, arrival: Arrival) {
+        self.count(self.stream.try_send(Outgoing::Reading(arrival)).is_ok());
+    }
+
+    pub(super) fn event(&self, event: Event) {
+        self.count(self.events.try_send(event).is_ok());
+    }
+
+    /// The newest replaces what was not taken yet.
+    pub(super) fn health(&self, health: Health) {
+        self.health.send_replace(Some(health));
+    }
+
+    fn count(&self, taken: bool) {
+        if !taken {
+            self.counters.output_dropped.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+}
+
+impl Outbox {
+    /// Declares the publishers and starts the task.
+    pub(super) async fn start(
+        session: &zenoh::Session,
+        machine: &config::Machine,
+        boot: BootId,
+        clock: Clock,
+        counters: Arc<Counters>,
+    ) -> Result<(Self, Outlets), LinkError> {
+        let mut channels = BTreeMap::new();
+        for topic in Topic::ALL {
+            if matches!(topic, Topic::Sensor(_)) && !machine.publish.sensors {
+                continue;
+            }
+            let key = topic_key(&machine.link.site, &machine.id, topic);
+            channels.insert(topic, Channel { publisher: declare(session, topic, key).await?, sequence: 0 });
+        }
+        let (stream, stream_receiver) = mpsc::channel(STREAM_QUEUE);
+        let (events, events_receiver) = mpsc::channel(EVENT_QUEUE);
+        let (health, health_receiver) = watch::channel(None);
+        let cabin_from_imu: Pose<Cabin, Imu> = machine.frames.cabin_from_imu.pose();
+        let task = Publishing {
+            channels,
+            boot,
+            clock,
+            counters: Arc::clone(&counters),
+            pace: Pace::new(machine.publish.pose_rate_hz, machine.imu.update_rate),
+            identity: Identity {
+                id: machine.id.clone(),
+                name: machine.display_name().to_owned(),
+                world: machine.world.site_frame().origin(),
+                cabin_from_imu: RigidMotion::from(&cabin_from_imu),
+            },
+            newest: None,
+            told: None,
+            losses_told: [0; 4],
+        };
+        let task = tokio::spawn(task.run(stream_receiver, events_receiver, health_receiver));
+        Ok((Self { task }, Outlets { stream, events, health, counters }))
+    }
+
+    /// Waits until everything is sent; the outlets must be gone. Says how many messages of each topic were.
+    pub(super) async fn stop(self) -> BTreeMap<Topic, u64> {
+        match self.task.await {
+            Ok(published) => published,
+            Err(error) => {
+                tracing::error!(%error, "the publishing task has ended early");
+                BTreeMap::new()
+            }
+        }
+    }
+}
+
+/// Nothing ever blocks on a slow link: it would close the link, and stop every other topic with it.
+async fn declare(
+    session: &zenoh::Session,
+    topic: Topic,
+    key: String,
+) -> Result<Publisher<'static>, LinkError> {
+    let priority = match topic {
+        Topic::Pose => Priority::RealTime,
+        Topic::Odom => Priority::InteractiveHigh,
+        Topic::Health | Topic::Event => Priority::DataHigh,
+        Topic::Sensor(_) => Priority::Data,
+    };
+    let encoding = if topic.is_json() { Encoding::APPLICATION_JSON } else { Encoding::APPLICATION_CDR };
+    session
+        .declare_publisher(key.clone())
+        .congestion_control(CongestionControl::Drop)
+        .priority(priority)
+        .encoding(encoding)
+        .await
+        .map_err(|error| LinkError::Declare { key, reason: error.to_string() })
+}
+
+struct Channel {
+    publisher: Publisher<'static>,
+    sequence: u64,
+}
+
+/// What every report repeats.
+struct Identity {
+    id: String,
+    name: String,
+    world: crate::frames::geodesy::Geodetic,
+    cabin_from_imu: RigidMotion,
+}
+
+struct Publishing {
+    channels: BTreeMap<Topic, Channel>,
+    boot: BootId,
+    clock: Clock,
+    counters: Arc<Counters>,
+    pace: Pace,
+    identity: Identity,
+    newest: Option<(Stamp, Pose<World, Odom>)>,
+    /// What the last published health said of what must be told at once.
+    told: Option<(Mode, GnssState, bool)>,
+    losses_told: [u64; 4],
+}
+
+impl Publishing {
+    async fn run(
+        mut self,
+        mut stream: mpsc::Receiver<Outgoing>,
+        mut events: mpsc::Receiver<Event>,
+        mut health: watch::Receiver<Option<Health>>,
+    ) -> BTreeMap<Topic, u64> {
+        let mut second = tokio::time::interval(HEALTH_PERIOD);
+        second.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        loop {
+            tokio::select! {
+                // All senders go together: the stream is the last to be empty.
+                outgoing = stream.recv() => match outgoing {
+                    Some(outgoing) => self.outgoing(outgoing).await,
+                    None => break,
+                },
+                Some(event) = events.recv() => self.event(&event).await,
+                Ok(()) = health.changed() => {
+                    let health = health.borrow_and_update().clone();
+                    if let Some(health) = health && self.told != Some(urgent(&health)) {
+                        self.health(health).await;
+                    }
+                }
+                _ = second.tick() => {
+                    let health = health.borrow().clone();
+                    if let Some(health) = health {
+                        self.health(health).await;
+                    }
+                    self.tell_losses();
+                }
+            }
+        }
+        while let Ok(event) = events.try_recv() {
+            self.event(&event).await;
+        }
+        self.channels.into_iter().map(|(topic, channel)| (topic, channel.sequence)).collect()
+    }
+
+    async fn outgoing(&mut self, outgoing: Outgoing) {
+        match outgoing {
+            Outgoing::Estimate(estimate) => {
+                self.newest = Some((estimate.stamp, estimate.world_from_odom));
+                if self.pace.is_due(estimate.stamp) {
+                    let now = self.clock.now();
+                    self.put(Topic::Pose, estimate.stamp, now, pose_message(&estimate).encode()).await;
+                    self.put(Topic::Odom, estimate.stamp, now, odom_message(&estimate).encode()).await;
+                }
+            }
+            Outgoing::Reading(Arrival { arrival, reading }) => {
+                let topic = Topic::Sensor(reading.sensor());
+                if self.channels.contains_key(&topic) {
+                    self.put(topic, reading.stamp(), arrival, encode_reading(&reading)).await;
+                }
+            }
+        }
+    }
+
+    async fn event(&mut self, event: &Event) {
+        tracing::info!(severity = ?event.severity, what = ?event.what, "event");
+        match encode_json("event", event) {
+            Ok(payload) => {
+                let stamp = Stamp::from_nanos(event.stamp_ns);
+                self.put(Topic::Event, stamp, self.clock.now(), payload).await;
+            }
+            Err(error) => tracing::error!(%error, "an event cannot be published"),
+        }
+    }
+
+    async fn health(&mut self, health: Health) {
+        let now = self.clock.now();
+        let stamp = Stamp::from_nanos(health.stamp_ns);
+        self.told = Some(urgent(&health));
+        let report = MachineReport {
+            id: self.identity.id.clone(),
+            name: self.identity.name.clone(),
+            software: env!("CARGO_PKG_VERSION").to_owned(),
+            boot: self.boot,
+            world: self.identity.world.into(),
+            cabin_from_imu: self.identity.cabin_from_imu,
+            world_from_odom: self.newest.as_ref().map(|(_, world_from_odom)| world_from_odom.into()),
+            estimate_age_s: self.newest.as_ref().map(|(stamp, _)| now.seconds_since(*stamp)),
+            health,
+        };
+        match encode_json("machine report", &report) {
+            Ok(payload) => self.put(Topic::Health, stamp, now, payload).await,
+            Err(error) => tracing::error!(%error, "health cannot be published"),
+        }
+    }
+
+    /// Numbers the message, then hands it to Zenoh, which waits a millisecond at most and then drops it: the
+    /// gap in the numbers tells the receiver.
+    async fn put(&mut self, topic: Topic, stamp: Stamp, sent: Stamp, payload: Vec<u8>) {
+        let Some(channel) = self.channels.get_mut(&topic) else { return };
+        let attachment = Attachment { sequence: channel.sequence, boot: self.boot, stamp, sent };
+        channel.sequence += 1;
+        let attachment = attachment.encode();
+        if let Err(error) = channel.publisher.put(payload).attachment(attachment.as_slice()).await {
+            tracing::debug!(%error, %topic, "a message could not be sent");
+        }
+    }
+
+    fn tell_losses(&mut self) {
+        for ((what, count), told) in self.counters.losses().into_iter().zip(&mut self.losses_told) {
+            if count > *told {
+                tracing::warn!(count = count - *told, total = count, "lost {what}");
+                *told = count;
+            }
+        }
+    }
+}
+
+fn urgent(health: &Health) -> (Mode, GnssState, bool) {
+    (health.mode, health.gnss, health.waits_for.is_some())
+}
+
+/// Chooses the estimates that are published.
+struct Pace {
+    /// `None` publishes all.
+    period: Option<Span>,
+    /// Half the IMU's period, which stamps may jitter by.
+    early: Span,
+    due: Option<Stamp>,
+}
+
+impl Pace {
+    fn new(rate_hz: f64, imu_rate_hz: f64) -> Self {
+        let period = (rate_hz < 0.99 * imu_rate_hz).then(|| Span::from_seconds(1.0 / rate_hz));
+        Self { period, early: Span::from_seconds(0.5 / imu_rate_hz), due: None }
+    }
+
+    fn is_due(&mut self, stamp: Stamp) -> bool {
+        let Some(period) = self.period else { return true };
+        let due = *self.due.get_or_insert(stamp);
+        if stamp + self.early < due {
+            return false;
+        }
+        // On the grid, unless samples are missing.
+        let next = due + period;
+        self.due = Some(if next > stamp { next } else { stamp + period });
+        true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn published(rate_hz: f64, jitter_ns: i64) -> usize {
+        let mut pace = Pace::new(rate_hz, 100.0);
+        let stamps = (0..1000).map(|index| Stamp::from_nanos(10_000_000 * index + jitter_ns * (index % 3)));
+        stamps.filter(|stamp| pace.is_due(*stamp)).count()
+    }
+
+    #[test]
+    fn publishing_keeps_its_rate_whatever_the_jitter() {
+        assert_eq!(published(100.0, 1_000_000), 1000);
+        assert_eq!(published(500.0, 0), 1000);
+        assert!(published(50.0, 1_000_000).abs_diff(500) <= 1);
+        assert!(published(10.0, 0).abs_diff(100) <= 1);
+        assert!(published(30.0, 1_000_000).abs_diff(300) <= 3, "{}", published(30.0, 1_000_000));
+    }
+}

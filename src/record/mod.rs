@@ -1,0 +1,185 @@
+//! Recordings: MCAP files with every machine's messages, written so that a power cut costs one second at most.
+//!
+//! A file has profile `ros2`; its topics are `/{machine}/{topic}`, ROS 2 messages in CDR with `ros2msg`
+//! schemas, reports and events as JSON without a schema (rosbags refuses a file that holds a schema of
+//! another kind). `log_time` is when the recorder received a message, `publish_time` when the machine sent
+//! it, which for a reading is when it arrived at the machine. This room touches files, but reads no clock:
+//! the caller gives the time. Which sessions there are is the site's business.
+
+mod read;
+mod recover;
+mod scan;
+mod write;
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use crate::time::Stamp;
+use crate::wire::Topic;
+
+pub use read::{Arrivals, Messages, machines, read_arrivals, read_messages};
+pub use recover::{inspect, recover};
+pub use write::{RecordWriter, SYNC_EVERY};
+
+/// Name of the metadata record that says how a file was recovered.
+const RECOVERY: &str = "holdfast.recovery";
+
+/// A message to record, or out of a recording.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Recorded<P> {
+    /// Whose it is.
+    pub machine: String,
+    /// What it says.
+    pub topic: Topic,
+    /// The machine's count of this topic; the file keeps its lower 32 bits.
+    pub sequence: u64,
+    /// When the recorder received it.
+    pub received: Stamp,
+    /// When the machine sent it; for a reading, when it arrived at the machine.
+    pub sent: Stamp,
+    /// CDR or JSON.
+    pub payload: P,
+}
+
+/// How whole a finished file is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[cfg_attr(feature = "shells", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum FileState {
+    /// Closed by its writer.
+    Complete,
+    /// Its writer died between two chunks; everything that had reached the file is there.
+    Recovered,
+    /// The file ended within a chunk, or a chunk was damaged: those messages are lost.
+    Truncated,
+}
+
+impl FileState {
+    /// The name in files and JSON.
+    pub const fn name(self) -> &'static str {
+        match self {
+            FileState::Complete => "complete",
+            FileState::Recovered => "recovered",
+            FileState::Truncated => "truncated",
+        }
+    }
+
+    fn from_name(name: &str) -> Option<Self> {
+        [FileState::Complete, FileState::Recovered, FileState::Truncated]
+            .into_iter()
+            .find(|state| state.name() == name)
+    }
+}
+
+/// What a finished file holds.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Summary {
+    /// How whole it is.
+    pub state: FileState,
+    /// Messages in it.
+    pub messages: u64,
+    /// Its length.
+    pub bytes: u64,
+    /// When its first and its last message were received; `None` without messages.
+    pub span: Option<(Stamp, Stamp)>,
+    /// Whose messages are in it, sorted.
+    pub machines: Vec<String>,
+    /// Bytes that were given up in recovery.
+    pub lost_bytes: u64,
+}
+
+/// Why a recording cannot be written or read.
+#[derive(Debug, thiserror::Error)]
+pub enum RecordError {
+    /// The system refuses.
+    #[error("{}: {what}: {source}", path.display())]
+    File {
+        /// Which file or folder.
+        path: PathBuf,
+        /// What was tried.
+        what: &'static str,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// The MCAP library refuses.
+    #[error("{}: {what}: {source}", path.display())]
+    Mcap {
+        /// Which file.
+        path: PathBuf,
+        /// What was tried.
+        what: &'static str,
+        /// What it says.
+        source: mcap::McapError,
+    },
+    /// It does not begin as an MCAP file does.
+    #[error("{}: is not an MCAP file", path.display())]
+    NotMcap {
+        /// Which file.
+        path: PathBuf,
+    },
+    /// It was not closed by its writer.
+    #[error("{}: was not closed by its writer, and needs recovery", path.display())]
+    Unfinished {
+        /// Which file.
+        path: PathBuf,
+    },
+    /// A message cannot be used.
+    #[error("{}: {topic} of {machine}, message {sequence}: {source}", path.display())]
+    Message {
+        /// Which file.
+        path: PathBuf,
+        /// Whose message.
+        machine: String,
+        /// Its topic.
+        topic: Topic,
+        /// Its sequence number.
+        sequence: u64,
+        /// What is wrong with it.
+        source: crate::wire::WireError,
+    },
+    /// After recovery the file did not hold what was put into it.
+    #[error("{}: holds {found} messages after recovery, {written} were written; the torn file was kept", path.display())]
+    Miscounted {
+        /// Which file.
+        path: PathBuf,
+        /// Messages that were written.
+        written: u64,
+        /// Messages that were found.
+        found: u64,
+    },
+}
+
+fn file_error<'a>(path: &'a Path, what: &'static str) -> impl Fn(std::io::Error) -> RecordError + 'a {
+    move |source| RecordError::File { path: path.to_owned(), what, source }
+}
+
+fn mcap_error<'a>(path: &'a Path, what: &'static str) -> impl Fn(mcap::McapError) -> RecordError + 'a {
+    move |source| RecordError::Mcap { path: path.to_owned(), what, source }
+}
+
+/// Makes a new or renamed entry of the file's folder survive a power cut.
+fn sync_folder_of(path: &Path) -> Result<(), RecordError> {
+    let folder = match path.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
+    };
+    let open = std::fs::File::open(folder).and_then(|folder| folder.sync_all());
+    open.map_err(file_error(folder, "cannot be synced"))
+}
+
+fn channel_name(machine: &str, topic: Topic) -> String {
+    format!("/{machine}/{}", topic.name())
+}
+
+fn parse_channel_name(name: &str) -> Option<(&str, Topic)> {
+    let (machine, topic) = name.strip_prefix('/')?.split_once('/')?;
+    Some((machine, Topic::from_name(topic)?))
+}
+
+fn stamp_of(nanos: u64) -> Stamp {
+    Stamp::from_nanos(i64::try_from(nanos).unwrap_or(i64::MAX))
+}
+
+#[cfg(test)]
+mod tests;

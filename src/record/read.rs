@@ -1,0 +1,149 @@
+//! Reads recordings: messages in the order of the file, one machine's readings in the order of arrival.
+
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::path::{Path, PathBuf};
+
+use mcap::records::Record;
+
+use super::scan::Scanner;
+use super::{RecordError, Recorded, parse_channel_name, stamp_of};
+use crate::sensors::Arrival;
+use crate::wire::{Topic, decode_reading};
+
+/// The messages of a file in the order in which they were received. What is torn or damaged is passed over.
+pub struct Messages {
+    scanner: Scanner,
+    channels: BTreeMap<u16, (String, Topic)>,
+    ready: VecDeque<Recorded<Vec<u8>>>,
+}
+
+/// Opens a recording.
+///
+/// # Errors
+/// [`RecordError`] if the file cannot be read or is no MCAP file.
+pub fn read_messages(path: &Path) -> Result<Messages, RecordError> {
+    Ok(Messages { scanner: Scanner::open(path)?, channels: BTreeMap::new(), ready: VecDeque::new() })
+}
+
+impl Messages {
+    /// Bytes that could not be read so far: of damaged chunks, and of the torn end once it was reached.
+    pub fn lost_bytes(&self) -> u64 {
+        self.scanner.damage.torn_bytes + self.scanner.damage.damaged_bytes
+    }
+
+    fn take_block(&mut self, records: Vec<Record<'static>>) {
+        for record in records {
+            match record {
+                Record::Channel(channel) => {
+                    if let Some((machine, topic)) = parse_channel_name(&channel.topic) {
+                        self.channels.insert(channel.id, (machine.to_owned(), topic));
+                    }
+                }
+                Record::Message { header, data } => {
+                    // Other people's topics in the file are not ours to read.
+                    if let Some((machine, topic)) = self.channels.get(&header.channel_id) {
+                        self.ready.push_back(Recorded {
+                            machine: machine.clone(),
+                            topic: *topic,
+                            sequence: u64::from(header.sequence),
+                            received: stamp_of(header.log_time),
+                            sent: stamp_of(header.publish_time),
+                            payload: data.into_owned(),
+                        });
+                    }
+                }
+                _ => {}
+            }
+        }
+    }
+}
+
+impl Iterator for Messages {
+    type Item = Result<Recorded<Vec<u8>>, RecordError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        loop {
+            if let Some(message) = self.ready.pop_front() {
+                return Some(Ok(message));
+            }
+            match self.scanner.next_block() {
+                Ok(Some(records)) => self.take_block(records),
+                Ok(None) => return None,
+                Err(error) => return Some(Err(error)),
+            }
+        }
+    }
+}
+
+/// The machines whose topics are in a file, sorted.
+///
+/// # Errors
+/// [`RecordError`] if the file cannot be read or is no MCAP file.
+pub fn machines(path: &Path) -> Result<Vec<String>, RecordError> {
+    let mut messages = read_messages(path)?;
+    let mut machines = BTreeSet::new();
+    while let Some(block) = messages.scanner.next_block()? {
+        messages.take_block(block);
+        messages.ready.clear();
+    }
+    machines.extend(messages.channels.into_values().map(|(machine, _)| machine));
+    Ok(machines.into_iter().collect())
+}
+
+/// The readings of one machine in the order in which they arrived at it.
+///
+/// A file is in the order of the recorder; a message that came late to it may belong anywhere before. So the
+/// whole file is read first: some 100 bytes are held for each reading.
+#[derive(Debug)]
+pub struct Arrivals {
+    arrivals: std::vec::IntoIter<Result<Arrival, RecordError>>,
+    lost_bytes: u64,
+}
+
+/// Reads the readings of `machine`; those of equal arrival stay in the order of the file. A reading that
+/// cannot be decoded is an error in its place.
+///
+/// # Errors
+/// [`RecordError`] if the file cannot be read or is no MCAP file.
+pub fn read_arrivals(path: &Path, machine: &str) -> Result<Arrivals, RecordError> {
+    let mut messages = read_messages(path)?;
+    let mut found = Vec::new();
+    for message in messages.by_ref() {
+        let message = message?;
+        let Topic::Sensor(sensor) = message.topic else { continue };
+        if message.machine != machine {
+            continue;
+        }
+        let reading = decode_reading(sensor, &message.payload);
+        found.push((
+            message.sent,
+            match reading {
+                Ok(reading) => Ok(Arrival { arrival: message.sent, reading }),
+                Err(source) => Err(unreadable(path.to_owned(), message, source)),
+            },
+        ));
+    }
+    found.sort_by_key(|(sent, _)| *sent);
+    let arrivals: Vec<_> = found.into_iter().map(|(_, arrival)| arrival).collect();
+    Ok(Arrivals { arrivals: arrivals.into_iter(), lost_bytes: messages.lost_bytes() })
+}
+
+impl Arrivals {
+    /// Bytes of the file that could not be read: damaged chunks and a torn end.
+    pub fn lost_bytes(&self) -> u64 {
+        self.lost_bytes
+    }
+}
+
+impl Iterator for Arrivals {
+    type Item = Result<Arrival, RecordError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        self.arrivals.next()
+    }
+}
+
+fn unreadable(path: PathBuf, message: Recorded<Vec<u8>>, source: crate::wire::WireError) -> RecordError {
+    let Recorded { machine, topic, sequence, .. } = message;
+    RecordError::Message { path, machine, topic, sequence, source }
+}

@@ -1,0 +1,277 @@
+//! What must hold of recordings, whatever happens to their writer.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use super::*;
+use crate::lie::Vec3;
+use crate::sensors::{Arrival, CabinTurn, ImuSample, Reading};
+use crate::time::Span;
+use crate::wire::encode_reading;
+
+/// A folder that is gone with the test.
+struct Folder(PathBuf);
+
+impl Folder {
+    fn new(name: &str) -> Self {
+        let path = std::env::temp_dir().join(format!("holdfast-record-{}-{name}", std::process::id()));
+        std::fs::create_dir_all(&path).expect("temporary folder");
+        Self(path)
+    }
+
+    fn file(&self, name: &str) -> PathBuf {
+        self.0.join(name)
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+const START: Stamp = Stamp::from_nanos(1_790_000_000_000_000_000);
+
+fn imu(index: i64) -> Arrival {
+    let stamp = START + Span::from_millis(10 * index);
+    let angular_rate = Vec3::new(index as f64, 0.1, -0.2);
+    let sample = ImuSample { stamp, angular_rate, specific_force: Vec3::new(0.0, 0.3, 9.81) };
+    Arrival { arrival: stamp + Span::from_millis(2), reading: Reading::Imu(sample) }
+}
+
+fn recorded(machine: &str, index: u64, arrival: &Arrival) -> Recorded<Vec<u8>> {
+    Recorded {
+        machine: machine.to_owned(),
+        topic: Topic::Sensor(arrival.reading.sensor()),
+        sequence: index,
+        received: arrival.arrival + Span::from_millis(1),
+        sent: arrival.arrival,
+        payload: encode_reading(&arrival.reading),
+    }
+}
+
+/// So many samples of each of two machines; what is written is in memory and on the disk as it would be live.
+fn write(path: &Path, samples: i64) -> RecordWriter {
+    let mut writer = RecordWriter::create(path).expect("create");
+    let boot = BTreeMap::from([("boot".to_owned(), "00000000000000ab".to_owned())]);
+    writer.write_metadata("holdfast.boot", boot).expect("metadata");
+    for index in 0..samples {
+        for machine in ["a", "b-1"] {
+            writer.write(&recorded(machine, index as u64, &imu(index))).expect("write");
+        }
+        if index % 50 == 0 {
+            let payload = format!("{{\"index\":{index}}}").into_bytes();
+            let health = recorded("a", (index / 50) as u64, &imu(index));
+            writer.write(&Recorded { topic: Topic::Health, payload, ..health }).expect("write");
+        }
+    }
+    writer
+}
+
+/// The file of a writer that was killed: what is in memory is lost.
+fn killed(name: &str, samples: i64) -> (Folder, PathBuf, Vec<u8>) {
+    let folder = Folder::new(name);
+    let path = folder.file("s-0000.mcap");
+    let writer = write(&path, samples);
+    let bytes = std::fs::read(&path).expect("read");
+    std::mem::forget(writer);
+    (folder, path, bytes)
+}
+
+fn arrivals(path: &Path, machine: &str) -> Vec<Arrival> {
+    read_arrivals(path, machine).expect("open").map(|arrival| arrival.expect("readable")).collect()
+}
+
+#[test]
+fn finished_file_gives_back_what_was_written() {
+    let folder = Folder::new("finished");
+    let path = folder.file("s.mcap");
+    let summary = write(&path, 250).finish().expect("finish");
+    assert_eq!((summary.state, summary.messages), (FileState::Complete, 505));
+    assert_eq!(summary.machines, ["a", "b-1"]);
+    assert_eq!(inspect(&path).expect("whole"), summary);
+    assert_eq!(recover(&path).expect("whole"), summary);
+    assert_eq!(machines(&path).expect("whole"), ["a", "b-1"]);
+    let expected: Vec<Arrival> = (0..250).map(imu).collect();
+    assert_eq!(arrivals(&path, "b-1"), expected);
+    assert!(arrivals(&path, "c").is_empty());
+    let health: Vec<_> = read_messages(&path)
+        .expect("open")
+        .map(|message| message.expect("readable"))
+        .filter(|message| message.topic == Topic::Health)
+        .collect();
+    assert_eq!(health.len(), 5);
+    assert_eq!(health[1].payload, b"{\"index\":50}");
+    assert_eq!(health[1].sequence, 1);
+}
+
+#[test]
+fn readings_come_in_order_of_arrival_even_if_they_were_received_otherwise() {
+    let folder = Folder::new("order");
+    let path = folder.file("s.mcap");
+    let mut writer = RecordWriter::create(&path).expect("create");
+    let turn = CabinTurn { stamp: START, angle_rad: 0.5 };
+    let mut readings: Vec<Arrival> = (0..300).map(imu).collect();
+    // Arrived together with the first sample, recorded after it.
+    readings.insert(1, Arrival { arrival: readings[0].arrival, reading: Reading::CabinTurn(turn) });
+    let received_late: Vec<&Arrival> = readings[150..].iter().chain(&readings[..150]).collect();
+    for (index, arrival) in received_late.into_iter().enumerate() {
+        let received = START + Span::from_millis(index as i64);
+        let message = Recorded { received, ..recorded("a", index as u64, arrival) };
+        writer.write(&message).expect("write");
+    }
+    writer.finish().expect("finish");
+    assert_eq!(arrivals(&path, "a"), readings);
+}
+
+#[test]
+fn at_most_the_last_second_is_lost_with_the_writer() {
+    let (_folder, path, _) = killed("second", 500);
+    let summary = recover(&path).expect("recovery");
+    assert_eq!(summary.state, FileState::Recovered);
+    assert_eq!(summary.lost_bytes, 0);
+    let kept = arrivals(&path, "a").len();
+    assert!((400..500).contains(&kept), "{kept}");
+}
+
+#[test]
+fn file_cut_anywhere_opens_after_recovery_and_loses_its_last_chunk_at_most() {
+    let (_folder, path, bytes) = killed("cut", 400);
+    // Messages of machine a in the chunks that end at or before each byte.
+    let mut whole_before = Vec::new();
+    let full = arrivals(&path, "a").len();
+    let mut at = MAGIC_BYTES;
+    let mut messages = 0;
+    while at < bytes.len() {
+        let body = u64::from_le_bytes(bytes[at + 1..at + 9].try_into().expect("eight bytes")) as usize;
+        let end = at + 9 + body;
+        if bytes[at] == 6 {
+            std::fs::write(&path, &bytes[..end]).expect("cut");
+            messages = arrivals(&path, "a").len();
+        }
+        whole_before.push((end, messages));
+        at = end;
+    }
+    assert_eq!(messages, full);
+    assert!(whole_before.iter().filter(|(end, _)| bytes[*end..].first() == Some(&6)).count() >= 3);
+    let mut states = [0; 3];
+    for length in 0..=bytes.len() {
+        // Every byte where records meet, and a prime step through their insides.
+        let near = whole_before.iter().any(|(end, _)| end.abs_diff(length) <= 12);
+        if !near && length % 211 != 0 && length > 64 {
+            continue;
+        }
+        std::fs::write(&path, &bytes[..length]).expect("cut");
+        let expected = whole_before.iter().rev().find(|(end, _)| *end <= length).map_or(0, |entry| entry.1);
+        assert_eq!(arrivals(&path, "a").len(), expected, "reader, cut at {length}");
+        let summary = recover(&path).unwrap_or_else(|error| panic!("cut at {length}: {error}"));
+        states[summary.state as usize] += 1;
+        assert_eq!(arrivals(&path, "a").len(), expected, "recovered, cut at {length}");
+        assert_eq!(inspect(&path).expect("proper"), summary, "cut at {length}");
+    }
+    assert_eq!(states[FileState::Complete as usize], 0);
+    assert!(states[FileState::Recovered as usize] > 0 && states[FileState::Truncated as usize] > 0);
+    assert!(!path.with_extension("mcap.recovering").exists());
+}
+
+const MAGIC_BYTES: usize = mcap::MAGIC.len();
+
+#[test]
+fn finished_file_cut_in_its_index_loses_nothing() {
+    let folder = Folder::new("index");
+    let path = folder.file("s.mcap");
+    let summary = write(&path, 200).finish().expect("finish");
+    let bytes = std::fs::read(&path).expect("read");
+    std::fs::write(&path, &bytes[..bytes.len() - 20]).expect("cut");
+    assert!(matches!(inspect(&path), Err(RecordError::Unfinished { .. })));
+    let recovered = recover(&path).expect("recovery");
+    assert_eq!((recovered.state, recovered.messages), (FileState::Recovered, summary.messages));
+    let metadata = std::fs::read(&path).expect("read");
+    assert!(metadata.windows(13).any(|window| window == b"holdfast.boot"));
+}
+
+#[test]
+fn damaged_chunk_is_passed_over_and_zeros_at_the_end_are_cut_off() {
+    let (_folder, path, mut bytes) = killed("damaged", 400);
+    let mut at = MAGIC_BYTES;
+    let mut chunks = 0;
+    while at < bytes.len() {
+        let body = u64::from_le_bytes(bytes[at + 1..at + 9].try_into().expect("eight bytes")) as usize;
+        if bytes[at] == 6 {
+            chunks += 1;
+            if chunks == 2 {
+                bytes[at + 9 + body / 2] ^= 0x55;
+            }
+        }
+        at += 9 + body;
+    }
+    let whole = arrivals(&path, "a").len();
+    bytes.extend([0; 5000]);
+    std::fs::write(&path, &bytes).expect("damage");
+    let summary = recover(&path).expect("recovery");
+    assert_eq!(summary.state, FileState::Truncated);
+    assert!(summary.lost_bytes > 5000);
+    let kept = arrivals(&path, "a").len();
+    assert!(kept < whole && kept > whole / 2, "{kept} of {whole}");
+}
+
+#[test]
+fn lengths_that_the_file_does_not_have_are_not_believed() {
+    let folder = Folder::new("huge");
+    let path = folder.file("s.mcap");
+    let mut bytes = mcap::MAGIC.to_vec();
+    bytes.push(6);
+    bytes.extend(u64::MAX.to_le_bytes());
+    bytes.extend([1; 100]);
+    std::fs::write(&path, &bytes).expect("write");
+    let summary = recover(&path).expect("recovery");
+    assert_eq!((summary.state, summary.messages), (FileState::Truncated, 0));
+}
+
+#[test]
+fn other_files_are_left_alone() {
+    let folder = Folder::new("other");
+    let path = folder.file("notes.mcap");
+    std::fs::write(&path, b"these are notes").expect("write");
+    let message = recover(&path).expect_err("not ours").to_string();
+    assert!(message.ends_with("notes.mcap: is not an MCAP file"), "{message}");
+    assert_eq!(std::fs::read(&path).expect("read"), b"these are notes");
+    let message = recover(&folder.file("nothing.mcap")).expect_err("missing").to_string();
+    assert!(message.contains("cannot be opened"), "{message}");
+}
+
+#[test]
+fn unreadable_reading_is_an_error_in_its_place() {
+    let folder = Folder::new("unreadable");
+    let path = folder.file("s.mcap");
+    let mut writer = RecordWriter::create(&path).expect("create");
+    for index in 0..3 {
+        let mut message = recorded("a", index, &imu(index as i64));
+        if index == 1 {
+            message.payload.truncate(40);
+        }
+        writer.write(&message).expect("write");
+    }
+    writer.finish().expect("finish");
+    let readings: Vec<_> = read_arrivals(&path, "a").expect("open").collect();
+    assert_eq!(readings.len(), 3);
+    let message = readings[1].as_ref().expect_err("cut").to_string();
+    assert!(
+        message.contains("sensor/imu of a, message 1: sensor_msgs/msg/Imu: ends at byte 40"),
+        "{message}"
+    );
+}
+
+#[test]
+fn time_before_the_epoch_and_a_clock_set_back_do_no_harm() {
+    let folder = Folder::new("clock");
+    let path = folder.file("s.mcap");
+    let mut writer = RecordWriter::create(&path).expect("create");
+    let early = Recorded { sent: Stamp::from_nanos(-5), ..recorded("a", 0, &imu(0)) };
+    writer.write(&early).expect("write");
+    assert!(writer.unsynced_since().is_some());
+    writer.tick(Stamp::from_nanos(-1)).expect("tick");
+    assert_eq!(writer.unsynced_since(), None);
+    assert_eq!(writer.finish().expect("finish").messages, 1);
+    assert_eq!(arrivals(&path, "a")[0].arrival, Stamp::from_nanos(0));
+}

@@ -1,0 +1,215 @@
+//! Writes one recording.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+
+use mcap::records::{MessageHeader, Metadata};
+use mcap::write::NoSeek;
+use mcap::{Compression, WriteOptions};
+
+use super::{FileState, RecordError, Recorded, Summary};
+use super::{channel_name, file_error, mcap_error, sync_folder_of};
+use crate::time::{Span, Stamp};
+use crate::wire::{Topic, schema_of};
+
+/// A message is on the disk at most so long after it was written here, if the caller ticks.
+pub const SYNC_EVERY: Span = Span::from_millis(900);
+/// A chunk that holds more is finished before its time.
+const CHUNK_BYTES: u64 = 4 * 1024 * 1024;
+
+/// The writer of the MCAP library over a file. Chunks are built in memory and written whole: a seek back
+/// into a chunk's header would leave it wrong on the disk until then.
+pub(super) type FileWriter = mcap::Writer<NoSeek<BufWriter<File>>>;
+
+/// A recording that is being written. Dropped without [`RecordWriter::finish`] it is closed as well as it
+/// goes, without saying so if that fails.
+pub struct RecordWriter {
+    path: PathBuf,
+    writer: FileWriter,
+    file: File,
+    channels: BTreeMap<(String, Topic), u16>,
+    unsynced_since: Option<Stamp>,
+    last_tick: Option<Stamp>,
+    span: Option<(Stamp, Stamp)>,
+    messages: u64,
+}
+
+/// Creates the file and its writer; the header is on the disk when this returns.
+pub(super) fn create(path: &Path) -> Result<(FileWriter, File), RecordError> {
+    let file = File::create(path).map_err(file_error(path, "cannot be created"))?;
+    let handle = file.try_clone().map_err(file_error(path, "cannot be opened twice"))?;
+    let mut writer = WriteOptions::new()
+        .profile("ros2")
+        .library(concat!("holdfast ", env!("CARGO_PKG_VERSION")))
+        .compression(Some(Compression::Lz4))
+        .chunk_size(Some(CHUNK_BYTES))
+        .disable_seeking(true)
+        .create(NoSeek::new(BufWriter::new(file)))
+        .map_err(mcap_error(path, "cannot be written"))?;
+    writer.flush().map_err(mcap_error(path, "cannot be written"))?;
+    handle.sync_all().map_err(file_error(path, "cannot be synced"))?;
+    sync_folder_of(path)?;
+    Ok((writer, handle))
+}
+
+impl RecordWriter {
+    /// Creates the file, whose folder must exist; what was at `path` is gone.
+    ///
+    /// # Errors
+    /// [`RecordError`] if the file cannot be created and synced.
+    pub fn create(path: &Path) -> Result<Self, RecordError> {
+        let (writer, file) = create(path)?;
+        Ok(Self {
+            path: path.to_owned(),
+            writer,
+            file,
+            channels: BTreeMap::new(),
+            unsynced_since: None,
+            last_tick: None,
+            span: None,
+            messages: 0,
+        })
+    }
+
+    /// The file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Messages written so far.
+    pub fn messages(&self) -> u64 {
+        self.messages
+    }
+
+    /// When the oldest message was received that may not have reached the disk; `None` if all have.
+    pub fn unsynced_since(&self) -> Option<Stamp> {
+        self.unsynced_since
+    }
+
+    /// Length of the file on the disk, without the chunk in memory.
+    ///
+    /// # Errors
+    /// [`RecordError::File`] if the system does not tell.
+    pub fn bytes(&self) -> Result<u64, RecordError> {
+        Ok(self.file.metadata().map_err(file_error(&self.path, "has no length"))?.len())
+    }
+
+    /// Adds a message, and syncs if it is time; `message.received` is taken for now. Stamps before the epoch
+    /// are written as the epoch, for the format knows none.
+    ///
+    /// # Errors
+    /// [`RecordError`] if the file cannot be written. After that every call fails: start another file.
+    pub fn write<P: AsRef<[u8]>>(&mut self, message: &Recorded<P>) -> Result<(), RecordError> {
+        let channel_id = self.channel(&message.machine, message.topic)?;
+        let header = MessageHeader {
+            channel_id,
+            sequence: message.sequence as u32,
+            log_time: nanos(message.received),
+            publish_time: nanos(message.sent),
+        };
+        self.writer
+            .write_to_known_channel(&header, message.payload.as_ref())
+            .map_err(mcap_error(&self.path, "cannot be written"))?;
+        self.messages += 1;
+        let received = stamp_after_clamp(message.received);
+        self.span = Some(match self.span {
+            None => (received, received),
+            Some((first, last)) => (first.min(received), last.max(received)),
+        });
+        self.unsynced_since.get_or_insert(message.received);
+        self.tick(message.received)
+    }
+
+    /// Adds a metadata record, such as a machine's boot or its configuration.
+    ///
+    /// # Errors
+    /// [`RecordError`] if the file cannot be written.
+    pub fn write_metadata(
+        &mut self,
+        name: &str,
+        entries: BTreeMap<String, String>,
+    ) -> Result<(), RecordError> {
+        let metadata = Metadata { name: name.to_owned(), metadata: entries };
+        self.writer.write_metadata(&metadata).map_err(mcap_error(&self.path, "cannot be written"))
+    }
+
+    /// Finishes the chunk and syncs it if the last time was [`SYNC_EVERY`] ago. To be called some times a
+    /// second, also while no messages come.
+    ///
+    /// # Errors
+    /// [`RecordError`] if the file cannot be written or synced.
+    pub fn tick(&mut self, now: Stamp) -> Result<(), RecordError> {
+        // The clock may be set back: what is older than it can be is synced as well.
+        let clock_went_back = self.last_tick.is_some_and(|last| now < last);
+        self.last_tick = Some(now);
+        match self.unsynced_since {
+            Some(since) if clock_went_back || now - since >= SYNC_EVERY => self.sync(),
+            _ => Ok(()),
+        }
+    }
+
+    /// Finishes the chunk and waits until everything is on the disk.
+    ///
+    /// # Errors
+    /// [`RecordError`] if the file cannot be written or synced.
+    pub fn sync(&mut self) -> Result<(), RecordError> {
+        self.writer.flush().map_err(mcap_error(&self.path, "cannot be written"))?;
+        self.file.sync_data().map_err(file_error(&self.path, "cannot be synced"))?;
+        self.unsynced_since = None;
+        Ok(())
+    }
+
+    /// Writes the index and closes the file.
+    ///
+    /// # Errors
+    /// [`RecordError`] if the file cannot be written or synced.
+    pub fn finish(mut self) -> Result<Summary, RecordError> {
+        finish(&mut self.writer, &self.file, &self.path)?;
+        let mut machines: Vec<String> = self.channels.into_keys().map(|(machine, _)| machine).collect();
+        machines.dedup();
+        let bytes = self.file.metadata().map_err(file_error(&self.path, "has no length"))?.len();
+        Ok(Summary {
+            state: FileState::Complete,
+            messages: self.messages,
+            bytes,
+            span: self.span,
+            machines,
+            lost_bytes: 0,
+        })
+    }
+
+    fn channel(&mut self, machine: &str, topic: Topic) -> Result<u16, RecordError> {
+        // A tuple key would need an owned string for each look-up; there are some hundred channels at most.
+        let key = (machine.to_owned(), topic);
+        if let Some(id) = self.channels.get(&key) {
+            return Ok(*id);
+        }
+        let failed = mcap_error(&self.path, "cannot be written");
+        let (schema, encoding) = match schema_of(topic) {
+            Some(schema) => {
+                let id = self.writer.add_schema(schema.name, "ros2msg", schema.definition.as_bytes());
+                (id.map_err(&failed)?, "cdr")
+            }
+            None => (0, "json"),
+        };
+        let name = channel_name(machine, topic);
+        let id = self.writer.add_channel(schema, &name, encoding, &BTreeMap::new()).map_err(failed)?;
+        self.channels.insert(key, id);
+        Ok(id)
+    }
+}
+
+pub(super) fn finish(writer: &mut FileWriter, file: &File, path: &Path) -> Result<(), RecordError> {
+    writer.finish().map_err(mcap_error(path, "cannot be closed"))?;
+    file.sync_all().map_err(file_error(path, "cannot be synced"))
+}
+
+fn nanos(stamp: Stamp) -> u64 {
+    u64::try_from(stamp.as_nanos()).unwrap_or(0)
+}
+
+fn stamp_after_clamp(stamp: Stamp) -> Stamp {
+    stamp.max(Stamp::from_nanos(0))
+}

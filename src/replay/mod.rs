@@ -1,0 +1,71 @@
+//! A log through the estimator, and the files that come out of it.
+//!
+//! The run is deterministic: the same readings give the same files but for the times in `summary.json`, which
+//! come from the caller's clock. In real time and over Zenoh, readings go through the room `machine` instead.
+
+mod outputs;
+mod summary;
+
+use std::io;
+
+pub use outputs::Outputs;
+pub use summary::{Distribution, Moments, Outage, Summary, Tally};
+
+use crate::estimator::{Estimator, Options};
+use crate::sensors::{Arrival, Reading};
+
+/// What a caller can show of a run that goes on.
+#[derive(Clone, Copy, Debug)]
+pub struct Progress {
+    /// Readings so far.
+    pub readings: u64,
+    /// Of the log so far, s.
+    pub data_s: f64,
+}
+
+/// Runs the estimator over `arrivals` in their order; every estimate goes to `outputs`.
+///
+/// `clock` gives nanoseconds from any epoch and is asked around each half of each step.
+///
+/// # Errors
+/// If `arrivals` has an error or a file cannot be written.
+pub fn run<E: From<io::Error>>(
+    arrivals: impl Iterator<Item = Result<Arrival, E>>,
+    options: Options,
+    outputs: &mut Outputs,
+    mut clock: impl FnMut() -> u64,
+    mut progress: impl FnMut(Progress),
+) -> Result<Summary, E> {
+    let mut estimator = Estimator::new(options);
+    let mut tally = Tally::default();
+    let begun = clock();
+    for arrival in arrivals {
+        let arrival = arrival?;
+        let before = clock();
+        let estimate = estimator.predict(&arrival);
+        let predicted = clock();
+        let takeover = estimator.update(&arrival);
+        let updated = clock();
+        tally.note_arrival(&arrival);
+        if matches!(arrival.reading, Reading::Imu(_)) {
+            tally.predict.note(predicted - before);
+        }
+        if let Some(takeover) = takeover {
+            tally.update.note(updated - predicted);
+            tally.note_takeover(&takeover);
+        }
+        if let Some(estimate) = &estimate {
+            tally.estimates += 1;
+            outputs.write_estimate(estimate)?;
+        }
+        for event in estimator.take_events() {
+            tally.note_event(&event);
+            outputs.write_event(&event)?;
+        }
+        if tally.readings.is_multiple_of(4_096) {
+            progress(Progress { readings: tally.readings, data_s: tally.data_s() });
+        }
+    }
+    let health = estimator.health();
+    Ok(tally.summary(clock() - begun, estimator.unfit_readings(), health))
+}
