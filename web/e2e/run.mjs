@@ -5,10 +5,10 @@
  * named in the environment as CHROMIUM). Closes with a line "N passed, N failed".
  */
 
-import { mkdir, mkdtemp, readdir, rm, stat } from "node:fs/promises";
+import { mkdir, mkdtemp, readdir, readFile, rm, stat } from "node:fs/promises";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
-import { parseArgs } from "node:util";
+import { isDeepStrictEqual, parseArgs } from "node:util";
 
 import { browserMissing, launch } from "./browser.mjs";
 import { Checks } from "./checks.mjs";
@@ -59,6 +59,15 @@ async function live(origin) {
   const watched = await Watched.open(browser, origin);
   const { page } = watched;
   let ids = [];
+
+  await checks.check(
+    "the page's types are of this server: else save its openapi.json and npm run types",
+    async () => {
+      const served = await (await fetch(`${origin}/api/openapi.json`)).json();
+      const known = JSON.parse(await readFile(new URL("../openapi.json", import.meta.url), "utf8"));
+      return isDeepStrictEqual(served, known);
+    },
+  );
 
   await checks.check("both machines are in the list and on the plan", async () => {
     await watched.until(

@@ -179,6 +179,8 @@ const health = object<Health>({
   outage: nullable(outage),
   updates: number,
   update_us: number,
+  gyro_bias: vector3,
+  accel_bias: vector3,
 });
 
 const healthView = object<HealthView>({ age_s: number, report: health });
