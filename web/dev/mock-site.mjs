@@ -99,7 +99,7 @@ function machine(id, now_ms) {
       phase === "initializing"
         ? null
         : {
-            stamp: rfc3339(now_ms - age_s * 1000),
+            stamp: rfc3339(Math.round(now_ms - age_s * 1000)),
             age_s,
             position_m: position,
             latitude_deg: WORLD.latitude_deg + position[1] / 111_195,

@@ -64,12 +64,12 @@ describe("the plan's shapes", () => {
     const walk: GnssState[] = ["fixed", "fixed", "silent", "silent", "fixed"];
     walk.forEach((gnss, index) => {
       const view = machineView({
-        pose: poseView({ stamp: `${index}`, position_m: [index, 0, 0], age_s: 0 }),
+        pose: poseView({ stamp: `${index}`, cabin_position_m: [index, 0, 0], age_s: 0 }),
       });
       if (view.health !== null) view.health.report.gnss = gnss;
       trace.add(view, index * 100);
     });
-    const view = machineView({ pose: poseView({ position_m: [4.5, 0, 0] }) });
+    const view = machineView({ pose: poseView({ cabin_position_m: [4.5, 0, 0] }) });
     const lines = buildShapes(stateOf(view, trace), options).filter((shape) => shape.layer === "tail");
     expect(lines.map((line) => line.stroke)).toEqual([LIGHT.gnss.fixed, LIGHT.gnss.silent, LIGHT.gnss.fixed]);
     expect(lines.map((line) => line.points.map(([x]) => x))).toEqual([

@@ -5,7 +5,7 @@ import { machineView, poseView } from "./views";
 
 function at(east_m: number, stamp: number, gnss: GnssState = "fixed"): MachineView {
   const view = machineView({
-    pose: poseView({ position_m: [east_m, 0, 0], stamp: `stamp ${stamp}`, age_s: 0 }),
+    pose: poseView({ cabin_position_m: [east_m, 0, 0], stamp: `stamp ${stamp}`, age_s: 0 }),
   });
   if (view.health !== null) view.health.report.gnss = gnss;
   return view;

@@ -53,6 +53,8 @@ export function machineView(changes: Partial<MachineView> = {}): MachineView {
         outage: null,
         updates: 800,
         update_us: 700,
+        gyro_bias: [1e-3, -2e-3, 0],
+        accel_bias: [0.05, 0, -0.02],
       },
     },
     link: { pose_rate_hz: 100, received: 4000, missed: 2, refused: 0, clock_offset_s: null },

@@ -12,6 +12,7 @@ import {
   type Health,
   type HealthView,
   type LinkView,
+  type LiveError,
   type LiveMessage,
   type MachineView,
   MODES,
@@ -49,7 +50,8 @@ export const checkLiveMessage: Check<LiveMessage> = (value, path) => {
   const kind = record(value, path).type;
   if (kind === "snapshot") return checkSnapshot(value, path);
   if (kind === "delta") return checkDelta(value, path);
-  throw new MessageError(`${path}.type`, '"snapshot" or "delta"', kind);
+  if (kind === "error") return checkError(value, path);
+  throw new MessageError(`${path}.type`, '"snapshot", "delta" or "error"', kind);
 };
 
 export function checkSessions(value: unknown): SessionView[] {
@@ -177,6 +179,8 @@ const health = object<Health>({
   outage: nullable(outage),
   updates: number,
   update_us: number,
+  gyro_bias: vector3,
+  accel_bias: vector3,
 });
 
 const healthView = object<HealthView>({ age_s: number, report: health });
@@ -205,6 +209,8 @@ export const checkMachine = object<MachineView>({
 export const checkFleet = object<FleetView>({ site, time, machines: list(checkMachine) });
 
 const checkSnapshot = object<Snapshot>({ type: oneOf(["snapshot"]), seq: number, fleet: checkFleet });
+
+const checkError = object<LiveError>({ type: oneOf(["error"]), detail: text });
 
 const checkDelta = object<Delta>({
   type: oneOf(["delta"]),

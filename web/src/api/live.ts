@@ -39,7 +39,7 @@ export interface WebSocketLike {
 export const RATE_HZ = 10;
 const FIRST_PAUSE_MS = 250;
 const LONGEST_PAUSE_MS = 5_000;
-/** The site speaks several times a second while a machine is known to it. */
+/** The site sends a delta at least once a second. */
 const SILENCE_MS = 3_000;
 
 /** Pause before the next try after `failures` in a row: doubled each time, and spread, so that pages do not come at once. */
@@ -93,6 +93,8 @@ export class Live {
         this.lastSeq = message.seq;
         this.failures = 0;
         this.handlers.snapshot(message);
+      } else if (message.type === "error") {
+        this.handlers.unreadable(message.detail);
       } else if (this.lastSeq === null || message.seq <= this.lastSeq) {
         // Not the stream that the snapshot began: only a new snapshot can be trusted. Gaps are no such case:
         // a slow page is sent the newest whole views, and the ones between are left out.
@@ -112,7 +114,7 @@ export class Live {
     this.silenceTimer = this.surroundings.setTimer(async () => {
       const answers = await this.surroundings.siteAnswers();
       if (socket !== this.socket) return;
-      // A site without machines may have nothing to say, once the snapshot has come.
+      // It may be busy; without a snapshot, though, there is nothing to wait for.
       if (answers && this.lastSeq !== null) this.watchSilence(socket);
       else this.lose();
     }, SILENCE_MS);

@@ -1,8 +1,8 @@
 /**
  * What the site says, with the site's own names: the views of `/api/v1`.
  *
- * Times are RFC 3339 in UTC; ages are seconds by the site's clock at the moment of sending. `npm run types`
- * writes the server's own description to `generated.ts`, against which these are compared.
+ * Times are RFC 3339 in UTC; ages are seconds by the site's clock at the moment of sending. `agreement.ts`
+ * holds these against the types generated from the server's own description, and does not compile if they differ.
  */
 
 export const PRESENCES = ["online", "stale", "lost"] as const;
@@ -105,6 +105,8 @@ export interface Health {
   outage: OutageReport | null;
   updates: number;
   update_us: number;
+  gyro_bias: Vector3;
+  accel_bias: Vector3;
 }
 
 export interface HealthView {
@@ -155,7 +157,13 @@ export interface Delta {
   dropped: number;
 }
 
-export type LiveMessage = Snapshot | Delta;
+/** The answer to a request of ours that the site did not understand; everything goes on as before. */
+export interface LiveError {
+  type: "error";
+  detail: string;
+}
+
+export type LiveMessage = Snapshot | Delta | LiveError;
 
 export interface SessionView {
   id: string;

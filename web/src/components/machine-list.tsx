@@ -1,7 +1,14 @@
 /** All machines with one plain state word each; the accessible twin of the plan. */
 
 import { useDesk } from "../store/context";
-import { HEALTH_FRESH_S, healthAge_s, isStale, POSE_FRESH_S, poseAge_s } from "../store/freshness";
+import {
+  HEALTH_FRESH_S,
+  healthAge_s,
+  isStale,
+  POSE_FRESH_S,
+  poseAge_s,
+  shownSeverity,
+} from "../store/freshness";
 import type { Machine, State } from "../store/store";
 import { horizontalSigma_m } from "../store/trace";
 import { useSpeech } from "../text";
@@ -44,7 +51,8 @@ function MachineCard({ id, machine, state }: CardProps) {
   const selected = choices.selected.value === id;
   const poseAge = { age_s: poseAge_s(state, machine), fresh_s: POSE_FRESH_S };
   const healthAge = { age_s: healthAge_s(state, machine), fresh_s: HEALTH_FRESH_S };
-  const classes = ["card", `card-${view.severity}`];
+  const severity = shownSeverity(state, machine);
+  const classes = ["card", `card-${severity}`];
   if (isStale(state, machine)) classes.push("stale-card");
   if (selected) classes.push("selected");
   const toggle = () => {
@@ -60,9 +68,11 @@ function MachineCard({ id, machine, state }: CardProps) {
         title={selected ? text.machines.unselect(view.name) : text.machines.select(view.name)}
         onClick={toggle}
       >
-        <SeverityIcon severity={view.severity} />
+        <SeverityIcon severity={severity} />
         <span class="card-name">{view.name}</span>
-        <span class={`severity-word severity-${view.severity}`}>{text.severity[view.severity]}</span>
+        <span class={`severity-word severity-${severity}`}>
+          {state.link.phase === "open" ? text.severity[severity] : text.lastKnown}
+        </span>
         <span class="state-word">{view.state_word}</span>
         {view.presence !== "online" && (
           <span class="presence">

@@ -42,7 +42,7 @@ export function Recordings() {
     (a, b) => Date.parse(b.started) - Date.parse(a.started),
   );
   return (
-    <section class={`recordings${connected ? "" : " stale"}`} aria-labelledby="recordings-title">
+    <section class="recordings" aria-labelledby="recordings-title">
       <h2 id="recordings-title">{text.recordings.title}</h2>
       {failure.value !== null && <p class="empty">{text.recordings.failed(failure.value)}</p>}
       {sessions.value?.length === 0 && <p class="empty">{text.recordings.none}</p>}

@@ -10,7 +10,7 @@ import type { Severity } from "../api/types";
 import type { Metres } from "../geometry/geodesy";
 import { type Extent, type GridLine, gridLines, roundStep, scaleBar } from "../geometry/grid";
 import type { Desk } from "../store/context";
-import { isStale } from "../store/freshness";
+import { isStale, shownSeverity } from "../store/freshness";
 import type { State } from "../store/store";
 import type { Palette } from "./palette";
 import { axisOf, buildShapes, machinesExtent } from "./scene";
@@ -171,15 +171,21 @@ export class PlanPainter {
   }
 
   private labels(state: State): Label[] {
+    const { max } = this.view.extent();
+    const width_px = this.view.toPixels(max)[0];
     const body_px = LABEL_LIFT_M / this.view.metresPerPixel();
     const lift_px = Math.min(LABEL_LIFT_MAX_PX, Math.max(LABEL_LIFT_MIN_PX, body_px));
     return [...state.machines].flatMap(([id, machine]) => {
-      const { pose, name, severity, state_word: word } = machine.view;
+      const { pose, name, state_word: word } = machine.view;
       if (pose === null) return [];
       const [x, y] = this.view.toPixels(axisOf(pose));
       const stale = isStale(state, machine);
+      const severity = shownSeverity(state, machine);
+      // About as wide as its words: kept from being cut off at the sides.
+      const half_px = 30 + 3.4 * (name.length + word.length);
+      const inside_px = Math.max(Math.min(x, width_px - half_px), half_px);
       const selected = id === this.desk.choices.selected.value;
-      return [{ id, name, word, severity, stale, selected, x, y: y - lift_px }];
+      return [{ id, name, word, severity, stale, selected, x: inside_px, y: y - lift_px }];
     });
   }
 

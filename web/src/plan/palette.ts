@@ -20,8 +20,8 @@ export interface Palette {
 
 export const LIGHT: Palette = {
   ground: "#eef1f0",
-  gridMinor: "#dfe4e3",
-  gridMajor: "#cbd3d1",
+  gridMinor: "#dde2e1",
+  gridMajor: "#c3ccca",
   chassis: "#7b868a",
   track: "#4a5356",
   outline: "#23292b",

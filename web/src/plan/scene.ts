@@ -29,7 +29,7 @@ export function buildShapes(state: State, options: SceneOptions): Shape[] {
     if (pose === null) continue;
     const stale = isStale(state, machine);
     const opacity = stale ? FADED : 1;
-    tail(shapes, machine.trace, positionOf(pose), options.palette, opacity);
+    tail(shapes, machine.trace, axisOf(pose), options.palette, opacity);
     ellipse(shapes, pose, options, opacity);
     excavator(shapes, pose, options.palette, { opacity, stale, selected: id === options.selected });
   }

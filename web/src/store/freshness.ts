@@ -4,6 +4,7 @@
  * This is a matter of drawing, field by field; whether a machine is online is the site's word (`presence`).
  */
 
+import type { Severity } from "../api/types";
 import { ageNow_s, type Machine, type State } from "./store";
 
 /** Poses come many times a second. */
@@ -22,6 +23,11 @@ export function healthAge_s(state: State, { view, received_ms }: Machine): numbe
 /** Whether the machine as a whole is drawn as out of date: by the site's word, or because the site is silent. */
 export function isStale(state: State, machine: Machine): boolean {
   return machine.view.presence !== "online" || state.link.phase !== "open" || oldPose(state, machine);
+}
+
+/** What to draw: the site's word while it speaks; nobody's word is good for a machine once the site is silent. */
+export function shownSeverity(state: State, { view }: Machine): Severity {
+  return state.link.phase === "open" ? view.severity : "offline";
 }
 
 function oldPose(state: State, machine: Machine): boolean {

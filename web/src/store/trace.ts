@@ -64,7 +64,8 @@ export class Trace {
   }
 
   private addToTail(pose: PoseView, gnss: GnssState | null, time_ms: number): void {
-    const at: Metres = [pose.position_m[0], pose.position_m[1]];
+    // The axis of the cabin: the way of the machine, without the swing of the body that carries the IMU.
+    const at: Metres = [pose.cabin_position_m[0], pose.cabin_position_m[1]];
     const last = this.tail.at(-1);
     const starts = this.breakTail || last === undefined || time_ms - this.newest_ms > TAIL_GAP_MS;
     const moved_m = last === undefined ? 0 : Math.hypot(at[0] - last.at[0], at[1] - last.at[1]);

@@ -29,6 +29,7 @@ export const de: Text = {
     unselect: (name) => `Einzelheiten zu ${name} schließen`,
   },
   severity: { good: "In Ordnung", warning: "Achtung", bad: "Störung", offline: "Offline" },
+  lastKnown: "zuletzt bekannt",
   presence: { online: "online", stale: "Daten veraltet", lost: "offline" },
   fields: {
     positionSigma: "Position ±1σ",
@@ -120,7 +121,7 @@ export const de: Text = {
     ellipse: "95-%-Ellipse, maßstäblich",
     ring: "Ring: kleiner als dieser",
     legend: "Legende",
-    simple: "Einfacher Plan: dieser Browser hat kein WebGL.",
+    simple: "Einfacher Plan, ohne WebGL",
     grid: "Meter vom Nullpunkt der Baustelle",
   },
   recordings: {
@@ -133,7 +134,7 @@ export const de: Text = {
     state: "Stand",
     machines: "Maschinen",
     download: "Laden",
-    downloadLabel: (id) => `Aufzeichnung ${id} herunterladen (MCAP)`,
+    downloadLabel: (id) => `Laden: Aufzeichnung ${id} (MCAP)`,
     states: {
       recording: "läuft",
       complete: "vollständig",

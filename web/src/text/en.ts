@@ -27,6 +27,7 @@ export const en = {
     unselect: (name: string) => `Hide details of ${name}`,
   },
   severity: { good: "OK", warning: "Attention", bad: "Problem", offline: "Offline" },
+  lastKnown: "last known",
   presence: { online: "online", stale: "data out of date", lost: "offline" },
   fields: {
     positionSigma: "Position ±1σ",
@@ -118,7 +119,7 @@ export const en = {
     ellipse: "95 % ellipse, true to scale",
     ring: "ring: smaller than this",
     legend: "Legend",
-    simple: "Simple plan: this browser has no WebGL.",
+    simple: "Simple plan, without WebGL",
     grid: "Metres from the site's origin",
   },
   recordings: {
