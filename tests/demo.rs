@@ -137,7 +137,7 @@ fn killed_machine_is_lost_within_two_seconds_and_ctrl_c_ends_everything() {
     let since = Instant::now();
     eventually("it is lost", || demo.machine("walker-1")["presence"] == "lost");
     assert!(since.elapsed() < Duration::from_secs(2), "{:?}", since.elapsed());
-    assert_eq!(demo.machine("walker-2")["presence"], "online", "the other one goes on");
+    eventually("the other one goes on", || demo.machine("walker-2")["presence"] == "online");
 
     // Ctrl-C reaches the whole process group.
     let children: Vec<i32> = children(demo.process.id()).into_iter().map(|(id, _)| id).collect();

@@ -114,12 +114,18 @@ impl Site {
             origin: config.world.site_frame().origin(),
             software: env!("CARGO_PKG_VERSION").to_owned(),
         };
+        let (session, endpoints) = inlet::open(config).await?;
         let catalogue = Arc::new(Catalogue::new(config.record.directory.join("sessions")));
         let recorder = match config.record.enabled {
-            true => Some(Recorder::start(config, &catalogue, clock, Arc::clone(&counters))?),
+            true => match Recorder::start(config, &catalogue, clock, Arc::clone(&counters)) {
+                Ok(recorder) => Some(recorder),
+                Err(error) => {
+                    link::close(session).await;
+                    return Err(error);
+                }
+            },
             false => None,
         };
-        let (session, endpoints) = inlet::open(config).await?;
 
         let (message_sender, messages) = mpsc::channel(MESSAGES_QUEUED);
         let (token_sender, tokens) = mpsc::channel(TOKENS_QUEUED);
@@ -165,7 +171,9 @@ impl Site {
 
     /// Ends everything in order: no more messages, the recording finished, clients told, the session closed.
     pub async fn stop(self) {
-        self.inlet.undeclare().await;
+        if tokio::time::timeout(STOP_TIMEOUT, self.inlet.undeclare()).await.is_err() {
+            tracing::warn!("Zenoh did not end the subscriptions in time");
+        }
         if let Some(recorder) = self.recorder {
             // The thread finishes its file; joining it must not hold up the others.
             let finished = tokio::task::spawn_blocking(move || recorder.finish());

@@ -24,8 +24,10 @@ use crate::time::{Span, Stamp};
 const MESSAGES_QUEUED: usize = 32_768;
 /// How often the thread looks at the clock while nothing arrives.
 const TURN: Duration = Duration::from_millis(100);
-/// After a failure a new session is tried so much later.
+/// After a failure a new session is tried so much later, then after twice as long, and so on.
 const RETRY_AFTER: Span = Span::from_millis(5_000);
+/// But not later than so much.
+const RETRY_AFTER_MAX: Span = Span::from_millis(300_000);
 
 /// What the thread is asked.
 #[derive(Debug)]
@@ -126,6 +128,7 @@ struct Session {
     about_the_site: BTreeMap<String, String>,
     writer: Option<RecordWriter>,
     retry_at: Stamp,
+    retry_after: Span,
     boots: BTreeSet<(Arc<str>, u64)>,
     progress: Progress,
     published: watch::Sender<Progress>,
@@ -156,6 +159,7 @@ impl Session {
             about_the_site: about_the_site.map(|(key, value)| (key.to_owned(), value)).into(),
             writer: None,
             retry_at: Stamp::default(),
+            retry_after: RETRY_AFTER,
             boots: BTreeSet::new(),
             progress: Progress::default(),
             published,
@@ -168,7 +172,12 @@ impl Session {
     /// Starts a new session.
     fn open(&mut self, now: Stamp) -> Result<(), String> {
         let (id, path) = self.catalogue.create(now).map_err(|error| error.to_string())?;
-        let mut writer = RecordWriter::create(&path).map_err(|error| error.to_string())?;
+        let mut writer = RecordWriter::create(&path).map_err(|error| {
+            // Else each try on a full disk leaves another session behind; what is not empty stays.
+            let _ = std::fs::remove_file(&path);
+            let _ = path.parent().map(std::fs::remove_dir);
+            error.to_string()
+        })?;
         writer
             .write_metadata("holdfast.site", self.about_the_site.clone())
             .map_err(|error| error.to_string())?;
@@ -233,17 +242,23 @@ impl Session {
     }
 
     fn fail(&mut self, message: String) {
-        tracing::error!("nothing is recorded: {message}; tried again in {} s", RETRY_AFTER.as_seconds());
+        let wait_s = self.retry_after.as_seconds();
+        tracing::error!("nothing is recorded: {message}; tried again in {wait_s} s");
         // What reached the disk is recovered at the next start.
         self.writer = None;
         self.progress.failure = Some(message);
         let now = self.clock.now();
-        self.retry_at = now + RETRY_AFTER;
+        self.retry_at = now + self.retry_after;
+        self.retry_after = Span::from_nanos(2 * self.retry_after.as_nanos()).min(RETRY_AFTER_MAX);
         self.publish(now);
     }
 
     fn publish(&mut self, now: Stamp) {
         if let Some(writer) = &self.writer {
+            if writer.messages() > 0 && writer.unsynced_since().is_none() {
+                // Something reached the disk: the next failure is another one.
+                self.retry_after = RETRY_AFTER;
+            }
             self.progress.messages = writer.messages();
             self.progress.unsynced_since = writer.unsynced_since();
             if let Ok(bytes) = writer.bytes() {
