@@ -7,6 +7,7 @@ pub mod estimator;
 pub mod evaluate;
 pub mod export;
 pub mod factors;
+pub mod fleet;
 pub mod frames;
 pub mod import;
 pub mod lie;
@@ -19,6 +20,8 @@ pub mod record;
 pub mod replay;
 pub mod sensors;
 pub mod simulate;
+#[cfg(feature = "shells")]
+pub mod site;
 pub mod smoother;
 pub mod state;
 pub mod time;

@@ -4,6 +4,8 @@
 //! 3 finished but data was bad or lost.
 
 mod check;
+#[cfg(feature = "shells")]
+mod demo;
 mod estimate;
 mod evaluate;
 #[cfg(feature = "shells")]
@@ -13,13 +15,15 @@ mod machine;
 mod progress;
 mod realtime;
 mod simulate;
+#[cfg(feature = "shells")]
+mod site;
 
 use std::error::Error;
 use std::process::ExitCode;
 
 use clap::Parser;
 
-use crate::config::ConfigError;
+use crate::config::{ConfigError, Violation};
 
 /// Tells a construction site where each of its excavators is, to the centimetre, also when GNSS lets go.
 #[derive(Debug, Parser)]
@@ -31,12 +35,16 @@ struct CommandLine {
 
 #[derive(Debug, clap::Subcommand)]
 enum Command {
+    #[cfg(feature = "shells")]
+    Demo(demo::Arguments),
     Simulate(simulate::Arguments),
     Estimate(estimate::Arguments),
     Evaluate(evaluate::Arguments),
     Check(check::Arguments),
     #[cfg(feature = "shells")]
     Machine(machine::Arguments),
+    #[cfg(feature = "shells")]
+    Site(site::Arguments),
 }
 
 /// How a command that did not fail has ended.
@@ -54,12 +62,16 @@ pub enum Outcome {
 pub fn main() -> ExitCode {
     let arguments = CommandLine::parse();
     let result = match arguments.command {
+        #[cfg(feature = "shells")]
+        Command::Demo(arguments) => demo::run(arguments).map(|()| Outcome::Done),
         Command::Simulate(arguments) => simulate::run(arguments).map(|()| Outcome::Done),
         Command::Estimate(arguments) => estimate::run(arguments),
         Command::Evaluate(arguments) => evaluate::run(arguments).map(|()| Outcome::Done),
         Command::Check(arguments) => Ok(check::run(&arguments)),
         #[cfg(feature = "shells")]
         Command::Machine(arguments) => machine::run(arguments).map(|()| Outcome::Done),
+        #[cfg(feature = "shells")]
+        Command::Site(arguments) => site::run(arguments).map(|()| Outcome::Done),
     };
     match result {
         Ok(Outcome::Done) => ExitCode::SUCCESS,
@@ -75,7 +87,7 @@ pub fn main() -> ExitCode {
 fn exit_code(error: &(dyn Error + 'static)) -> ExitCode {
     let mut cause = Some(error);
     while let Some(error) = cause {
-        if error.is::<ConfigError>() {
+        if error.is::<ConfigError>() || error.is::<Violation>() {
             return ExitCode::from(2);
         }
         cause = error.source();

@@ -4,6 +4,7 @@
 //! estimator is said by the estimator's own options; this room fills them in.
 
 mod machine;
+mod site;
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -14,6 +15,7 @@ pub use machine::{
     BaseImu, Frames, Gate, Gnss, Imu, Initialization, LidarOdometry, Link, Machine, Publish, Smoother,
     Transform, World,
 };
+pub use site::{Http, Record, Site, Zenoh};
 
 /// Why a configuration file cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -54,6 +56,8 @@ impl fmt::Display for Violation {
         write!(formatter, "{} {}", self.key, self.message)
     }
 }
+
+impl std::error::Error for Violation {}
 
 /// A configuration that can check its values beyond their types.
 pub trait Checked: DeserializeOwned {

@@ -1,0 +1,67 @@
+//! `holdfast site`: the site server.
+
+use std::error::Error;
+use std::io::Write as _;
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+use tokio::signal::unix::{SignalKind, signal};
+
+use super::logging;
+use crate::config;
+use crate::site::Site;
+
+/// Run the site server: machines dial in, people look at the page
+///
+/// Serves the page and the API, and records everything that the machines send. Prints the address of the page
+/// and the Zenoh endpoints for the machines, then runs until Ctrl-C or SIGTERM; the recording is closed then.
+#[derive(Debug, clap::Args)]
+pub struct Arguments {
+    /// Site file, such as config/site.toml
+    #[arg(long, value_name = "TOML")]
+    pub config: PathBuf,
+    /// Address of page and API, instead of the site file's; port 0 takes a free one
+    #[arg(long, value_name = "ADDRESS:PORT")]
+    pub listen: Option<SocketAddr>,
+    /// Where recordings go, instead of the site file's
+    #[arg(long, value_name = "DIR")]
+    pub data: Option<PathBuf>,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// The configuration cannot be used, or an address or the data folder cannot.
+pub fn run(arguments: Arguments) -> Result<(), Box<dyn Error>> {
+    let mut config: config::Site = config::load(&arguments.config)?;
+    config.http.listen = arguments.listen.unwrap_or(config.http.listen);
+    config.record.directory = arguments.data.unwrap_or(config.record.directory);
+    logging::start();
+    // Zenoh refuses to run on a runtime of one thread.
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(2)
+        .thread_name("site")
+        .enable_all()
+        .build()?;
+    runtime.block_on(serve(&config))
+}
+
+async fn serve(config: &config::Site) -> Result<(), Box<dyn Error>> {
+    // Before anything starts, so that an early signal ends it in order.
+    let mut terminate = signal(SignalKind::terminate())?;
+    let mut interrupt = signal(SignalKind::interrupt())?;
+    let site = Site::start(config).await?;
+    let mut stdout = std::io::stdout().lock();
+    writeln!(stdout, "dashboard http://{}/", site.address())?;
+    for endpoint in site.endpoints() {
+        writeln!(stdout, "zenoh {endpoint}")?;
+    }
+    stdout.flush()?;
+    drop(stdout);
+    tokio::select! {
+        _ = terminate.recv() => {}
+        _ = interrupt.recv() => {}
+    }
+    site.stop().await;
+    Ok(())
+}

@@ -1,0 +1,221 @@
+//! One machine as the site knows it.
+
+use std::collections::{BTreeSet, VecDeque};
+
+use super::link::{ClockOffset, Gaps, Rate};
+use super::view::{self, HealthView, LinkView, MachineView, PoseView, UtcTime};
+use super::{
+    HEALTH_AGE_MAX, MachineReport, ORIGIN_OFF_MAX_M, POSE_AGE_MAX, PoseSample, Presence, Publication,
+    Receipt, Severity, Topic,
+};
+use crate::frames::geodesy::SiteFrame;
+use crate::frames::{Base, Odom, Pose};
+use crate::state::Mode;
+use crate::time::Stamp;
+
+/// So many earlier boots are remembered, so that their stragglers are known as such.
+const RETIRED_BOOTS_MAX: usize = 8;
+/// So many tokens are held for one machine at most.
+const TOKENS_MAX: usize = 8;
+
+/// A value and when it arrived.
+#[derive(Debug)]
+struct Received<T> {
+    value: T,
+    at: Stamp,
+    boot: Option<u64>,
+}
+
+#[derive(Debug)]
+pub(super) struct Machine {
+    /// Boots whose liveliness token stands.
+    tokens: BTreeSet<u64>,
+    boot: Option<u64>,
+    retired: VecDeque<u64>,
+    presence: Presence,
+    presence_since: Stamp,
+    /// When the token that stands appeared: a machine that never spoke is stale since then.
+    announced: Stamp,
+    pose: Option<Received<PoseSample>>,
+    odom_from_base: Option<Pose<Odom, Base>>,
+    report: Option<Received<MachineReport>>,
+    gaps: Gaps,
+    pose_rate: Rate,
+    clock_offset: ClockOffset,
+    refused: u64,
+}
+
+impl Machine {
+    pub fn new(now: Stamp) -> Self {
+        Self {
+            tokens: BTreeSet::new(),
+            boot: None,
+            retired: VecDeque::new(),
+            presence: Presence::Lost,
+            presence_since: now,
+            announced: now,
+            pose: None,
+            odom_from_base: None,
+            report: None,
+            gaps: Gaps::default(),
+            pose_rate: Rate::default(),
+            clock_offset: ClockOffset::default(),
+            refused: 0,
+        }
+    }
+
+    pub fn announce(&mut self, boot: u64, now: Stamp) {
+        if self.tokens.contains(&boot) {
+            return;
+        }
+        // The ghost of a boot whose link broke silently stays until its lease ends; more than a few are a lie.
+        if self.tokens.len() >= TOKENS_MAX {
+            self.tokens.pop_first();
+        }
+        if self.tokens.is_empty() {
+            self.announced = now;
+        }
+        self.tokens.insert(boot);
+        // A link that comes back brings back the token of the same boot.
+        if !self.retired.contains(&boot) {
+            self.adopt(boot);
+        }
+        self.advance(now);
+    }
+
+    pub fn withdraw(&mut self, boot: u64, now: Stamp) {
+        self.tokens.remove(&boot);
+        self.advance(now);
+    }
+
+    pub fn receive(&mut self, topic: Topic, publication: &Publication, now: Stamp) -> Receipt {
+        if self.retired.contains(&publication.boot) {
+            self.refused += 1;
+            return Receipt::OldBoot;
+        }
+        self.adopt(publication.boot);
+        self.gaps.count(topic, publication.sequence);
+        self.clock_offset.observe(publication, now);
+        if topic == Topic::Pose {
+            self.pose_rate.count(now);
+        }
+        Receipt::Accepted
+    }
+
+    pub fn refuse(&mut self) {
+        self.refused += 1;
+    }
+
+    pub fn pose(&mut self, sample: PoseSample, now: Stamp) {
+        let motion = sample.world_from_imu.motion();
+        let finite = motion.translation.iter().all(|value| value.is_finite())
+            && motion.rotation.to_xyzw().iter().all(|part| part.is_finite())
+            && sample.covariance.iter().all(|value| value.is_finite())
+            && sample.speed_mps.is_finite();
+        if !finite {
+            return self.refuse();
+        }
+        self.pose = Some(Received { value: sample, at: now, boot: self.boot });
+        self.advance(now);
+    }
+
+    pub fn chassis(&mut self, odom_from_base: Option<Pose<Odom, Base>>) {
+        self.odom_from_base =
+            odom_from_base.filter(|pose| pose.motion().translation.iter().all(|value| value.is_finite()));
+    }
+
+    pub fn report(&mut self, report: MachineReport, now: Stamp) {
+        self.report = Some(Received { value: report, at: now, boot: self.boot });
+        self.advance(now);
+    }
+
+    /// The one place where presence changes; true if it did.
+    pub fn advance(&mut self, now: Stamp) -> bool {
+        let (presence, since) = self.presence_at(now);
+        if presence == self.presence {
+            return false;
+        }
+        self.presence = presence;
+        self.presence_since = since;
+        true
+    }
+
+    /// Presence by the rule of the room's doc, and since when, if it is not as before.
+    fn presence_at(&self, now: Stamp) -> (Presence, Stamp) {
+        if self.tokens.is_empty() {
+            return (Presence::Lost, now);
+        }
+        let of_this_boot = |boot: Option<u64>| boot.is_some() && boot == self.boot;
+        let pose = self.pose.as_ref().filter(|pose| of_this_boot(pose.boot));
+        let report = self.report.as_ref().filter(|report| of_this_boot(report.boot));
+        let initializing = report.is_some_and(|report| report.value.health.mode == Mode::Initializing);
+        let fresh_until = match pose {
+            Some(pose) if !initializing => Some(pose.at + POSE_AGE_MAX),
+            _ => report.map(|report| report.at + HEALTH_AGE_MAX),
+        };
+        match fresh_until {
+            Some(until) if now <= until => (Presence::Online, now),
+            // Not before the token: a machine that was lost is stale since it is back.
+            Some(until) => (Presence::Stale, until.max(self.announced).min(now)),
+            None => (Presence::Stale, self.announced.min(now)),
+        }
+    }
+
+    fn adopt(&mut self, boot: u64) {
+        if self.boot == Some(boot) {
+            return;
+        }
+        if let Some(before) = self.boot.replace(boot) {
+            if self.retired.len() == RETIRED_BOOTS_MAX {
+                self.retired.pop_front();
+            }
+            self.retired.push_back(before);
+        }
+        self.gaps.restart();
+        self.clock_offset = ClockOffset::default();
+        self.odom_from_base = None;
+    }
+
+    pub fn view(&self, id: &str, frame: &SiteFrame, now: Stamp) -> MachineView {
+        let report = self.report.as_ref();
+        let pose = self.pose.as_ref().map(|pose| {
+            let description = report.map(|report| &report.value);
+            let age_s = now.seconds_since(pose.at).max(0.0);
+            PoseView::new(&pose.value, age_s, description, self.odom_from_base, frame)
+        });
+        let health = report.map(|report| HealthView {
+            age_s: now.seconds_since(report.at).max(0.0),
+            report: report.value.health.clone(),
+        });
+        let silent_s = now.seconds_since(self.presence_since).max(0.0);
+        let current = report.is_some_and(|report| report.boot == self.boot);
+        let (mut state_word, mut severity) =
+            view::state_word(self.presence, silent_s, health.as_ref().filter(|_| current), pose.as_ref());
+        let origin_off_m = report.map_or(0.0, |report| frame.to_enu(report.value.origin).norm());
+        if self.presence == Presence::Online && origin_off_m > ORIGIN_OFF_MAX_M {
+            state_word = format!("WRONG ORIGIN: {origin_off_m:.3} m from the site's");
+            severity = Severity::Bad;
+        }
+        MachineView {
+            id: id.to_owned(),
+            name: report
+                .map(|report| report.value.name.clone())
+                .filter(|name| !name.is_empty())
+                .unwrap_or_else(|| id.to_owned()),
+            presence: self.presence,
+            presence_since: UtcTime(self.presence_since),
+            boot: self.boot.map_or_else(String::new, |boot| format!("{boot:016x}")),
+            state_word,
+            severity,
+            pose,
+            health,
+            link: LinkView {
+                pose_rate_hz: self.pose_rate.hertz(now),
+                received: self.gaps.received,
+                missed: self.gaps.missed,
+                refused: self.refused,
+                clock_offset_s: self.clock_offset.seconds(),
+            },
+        }
+    }
+}

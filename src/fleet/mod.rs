@@ -1,0 +1,239 @@
+//! The whole site as one value: what every machine last said, whether it is there, how good its link is.
+//!
+//! Owned by the site server's aggregator. Pure: messages and the time come in, views go out. No decoding
+//! (room `wire`), no storage (room `record`), no clock. Times are by the site's clock unless a name says
+//! otherwise.
+//!
+//! # Presence
+//! ```text
+//!            token, data young                 token, data old
+//!   lost ─────────────────────▶ online ◀──────────────────────▶ stale
+//!     ▲                            │                               │
+//!     └────────────────────────────┴───────── no token ────────────┘
+//! ```
+//! *Data* is the newest pose, which may be 0.5 s old; as long as the estimator has not started (no pose since
+//! boot, or the machine reports that it is initializing) it is the newest health, which may be 2.5 s old. A
+//! lost machine keeps its last values, and their ages grow. Telling the same thing twice changes nothing. A
+//! restart is a new boot id: counting starts anew, and what still arrives from the boot before is refused.
+
+mod link;
+mod machine;
+mod view;
+
+use std::collections::BTreeMap;
+
+pub use view::{
+    Ellipse95, FleetView, HealthView, LinkView, MachineView, PoseView, Presence, SIGMAS_95, Severity,
+    SiteView, UtcTime, WorldView,
+};
+
+use crate::frames::geodesy::{Geodetic, SiteFrame};
+use crate::frames::{Base, Cabin, Imu, Odom, Pose, World};
+use crate::lie::Mat6;
+use crate::sensors::Sensor;
+use crate::state::Health;
+use crate::time::{Span, Stamp};
+use machine::Machine;
+
+/// More machines than this on one site are refused: keys come from outside, memory does not.
+pub const MACHINES_MAX: usize = 1000;
+/// A pose older than this is old.
+pub const POSE_AGE_MAX: Span = Span::from_millis(500);
+/// A machine's origin may be so far from the site's, m: less than its position is good for.
+pub const ORIGIN_OFF_MAX_M: f64 = 0.001;
+/// A health message older than this is old.
+pub const HEALTH_AGE_MAX: Span = Span::from_millis(2_500);
+
+/// Who the site is.
+#[derive(Clone, Debug)]
+pub struct SiteDescription {
+    /// As in keys.
+    pub id: String,
+    /// For people.
+    pub name: String,
+    /// Where the site frame is tied to the earth.
+    pub origin: Geodetic,
+    /// Version of the site server.
+    pub software: String,
+}
+
+/// What a message is about: the part of its key after the machine.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Topic {
+    /// Pose in the world.
+    Pose,
+    /// Pose in the odom frame.
+    Odom,
+    /// State of the estimator.
+    Health,
+    /// What happened.
+    Event,
+    /// A reading.
+    Sensor(Sensor),
+}
+
+/// What every message carries beside its content.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Publication {
+    /// Counts the messages of one topic and boot, from 0.
+    pub sequence: u64,
+    /// Drawn by the machine at each start.
+    pub boot: u64,
+    /// When it was measured, by the machine's stamps.
+    pub stamp: Stamp,
+    /// When it was sent, by the machine's clock.
+    pub sent: Stamp,
+}
+
+/// The estimate as it was published.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PoseSample {
+    /// Of the estimate, by the machine's stamps.
+    pub stamp: Stamp,
+    /// Accurate pose of the cabin IMU.
+    pub world_from_imu: Pose<World, Imu>,
+    /// Position in the world (m²) first, then rotation about the world's axes (rad²).
+    pub covariance: Mat6,
+    /// Of the IMU's origin, m/s.
+    pub speed_mps: f64,
+}
+
+/// What a machine says of itself.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MachineReport {
+    /// For people.
+    pub name: String,
+    /// Where the machine ties its world frame to the earth: must be where the site does.
+    pub origin: Geodetic,
+    /// Where the cabin IMU sits.
+    pub cabin_from_imu: Pose<Cabin, Imu>,
+    /// Drift of the odom frame, once known.
+    pub world_from_odom: Option<Pose<World, Odom>>,
+    /// State of the estimator.
+    pub health: Health,
+}
+
+/// What became of a message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Receipt {
+    /// Counted; its content is welcome.
+    Accepted,
+    /// From a boot that was followed by another one.
+    OldBoot,
+    /// There are [`MACHINES_MAX`] machines already.
+    TooManyMachines,
+}
+
+/// The site's machines.
+#[derive(Debug)]
+pub struct Fleet {
+    site: SiteDescription,
+    frame: SiteFrame,
+    machines: BTreeMap<String, Machine>,
+}
+
+impl Fleet {
+    /// A site without machines.
+    pub fn new(site: SiteDescription) -> Self {
+        let frame = SiteFrame::new(site.origin);
+        Self { site, frame, machines: BTreeMap::new() }
+    }
+
+    /// A liveliness token appeared.
+    pub fn announce(&mut self, id: &str, boot: u64, now: Stamp) {
+        if let Some(machine) = self.machine_mut(id, now) {
+            machine.announce(boot, now);
+        }
+    }
+
+    /// A liveliness token is gone.
+    pub fn withdraw(&mut self, id: &str, boot: u64, now: Stamp) {
+        if let Some(machine) = self.machines.get_mut(id) {
+            machine.withdraw(boot, now);
+        }
+    }
+
+    /// Counts a message, whatever its content; `now` is when it arrived. To be called before its content is
+    /// handed in, and for each message once. Content goes in only if it was accepted.
+    pub fn receive(&mut self, id: &str, topic: Topic, publication: &Publication, now: Stamp) -> Receipt {
+        match self.machine_mut(id, now) {
+            Some(machine) => machine.receive(topic, publication, now),
+            None => Receipt::TooManyMachines,
+        }
+    }
+
+    /// Counts a message that could not be read.
+    pub fn refuse(&mut self, id: &str, now: Stamp) {
+        if let Some(machine) = self.machine_mut(id, now) {
+            machine.refuse();
+        }
+    }
+
+    /// A pose that [`Fleet::receive`] accepted.
+    pub fn pose(&mut self, id: &str, sample: PoseSample, now: Stamp) {
+        if let Some(machine) = self.machine_mut(id, now) {
+            machine.pose(sample, now);
+        }
+    }
+
+    /// The chassis in the odom frame, where it is known.
+    pub fn chassis(&mut self, id: &str, odom_from_base: Option<Pose<Odom, Base>>, now: Stamp) {
+        if let Some(machine) = self.machine_mut(id, now) {
+            machine.chassis(odom_from_base);
+        }
+    }
+
+    /// A report that [`Fleet::receive`] accepted.
+    pub fn report(&mut self, id: &str, report: MachineReport, now: Stamp) {
+        if let Some(machine) = self.machine_mut(id, now) {
+            machine.report(report, now);
+        }
+    }
+
+    /// Lets time pass: what became old by `now` becomes stale. Returns the machines whose presence changed.
+    pub fn advance(&mut self, now: Stamp) -> usize {
+        self.machines.values_mut().map(|machine| usize::from(machine.advance(now))).sum()
+    }
+
+    /// How many machines were ever seen.
+    pub fn len(&self) -> usize {
+        self.machines.len()
+    }
+
+    /// Whether no machine was ever seen.
+    pub fn is_empty(&self) -> bool {
+        self.machines.is_empty()
+    }
+
+    /// The site itself.
+    pub fn site(&self) -> SiteView {
+        SiteView {
+            id: self.site.id.clone(),
+            name: self.site.name.clone(),
+            world: WorldView::from(self.site.origin),
+            software: self.site.software.clone(),
+        }
+    }
+
+    /// Everything, in the order of the machines' ids, as it stands at `now`.
+    pub fn view(&self, now: Stamp) -> FleetView {
+        FleetView {
+            site: self.site(),
+            time: UtcTime(now),
+            machines: self.machines.iter().map(|(id, machine)| machine.view(id, &self.frame, now)).collect(),
+        }
+    }
+
+    fn machine_mut(&mut self, id: &str, now: Stamp) -> Option<&mut Machine> {
+        if !self.machines.contains_key(id) {
+            if self.machines.len() >= MACHINES_MAX {
+                return None;
+            }
+            self.machines.insert(id.to_owned(), Machine::new(now));
+        }
+        self.machines.get_mut(id)
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,73 @@
+//! The machines and the sessions, on request.
+
+use std::sync::Arc;
+
+use axum::Json;
+use axum::extract::rejection::PathRejection;
+use axum::extract::{Path, State};
+use axum::http::StatusCode;
+use serde::Serialize;
+
+use super::Shared;
+use super::problem::Problem;
+use crate::fleet::{FleetView, MachineView};
+use crate::site::catalogue::SessionView;
+
+/// All machines.
+#[derive(Serialize, utoipa::ToSchema)]
+pub(super) struct MachinesView {
+    /// In the order of their ids.
+    machines: Vec<MachineView>,
+}
+
+/// All sessions.
+#[derive(Serialize, utoipa::ToSchema)]
+pub(super) struct SessionsView {
+    /// Newest first.
+    sessions: Vec<SessionView>,
+}
+
+/// The whole site, as it is now.
+#[utoipa::path(get, path = "/api/v1/fleet", tag = "fleet",
+    responses((status = OK, body = FleetView)))]
+pub(super) async fn fleet(State(shared): State<Shared>) -> Json<FleetView> {
+    Json(shared.frame().view.clone())
+}
+
+/// All machines, as they are now.
+#[utoipa::path(get, path = "/api/v1/machines", tag = "fleet",
+    responses((status = OK, body = MachinesView)))]
+pub(super) async fn machines(State(shared): State<Shared>) -> Json<MachinesView> {
+    Json(MachinesView { machines: shared.frame().view.machines.clone() })
+}
+
+/// One machine, as it is now.
+#[utoipa::path(get, path = "/api/v1/machines/{id}", tag = "fleet",
+    params(("id" = String, Path, description = "The machine's id")),
+    responses((status = OK, body = MachineView),
+        (status = NOT_FOUND, body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn machine(
+    State(shared): State<Shared>,
+    id: Result<Path<String>, PathRejection>,
+) -> Result<Json<MachineView>, Problem> {
+    let Path(id) = id.map_err(malformed)?;
+    shared.frame().machine(&id).cloned().map(Json).ok_or_else(|| Problem::not_found("machine", &id))
+}
+
+/// All recordings.
+#[utoipa::path(get, path = "/api/v1/sessions", tag = "sessions",
+    responses((status = OK, body = SessionsView)))]
+pub(super) async fn sessions(State(shared): State<Shared>) -> Result<Json<SessionsView>, Problem> {
+    let catalogue = Arc::clone(&shared.catalogue);
+    let progress = shared.progress();
+    let list = tokio::task::spawn_blocking(move || catalogue.list(progress.as_ref()));
+    let sessions = list.await.map_err(|error| {
+        tracing::error!("the sessions cannot be listed: {error}");
+        Problem::new(StatusCode::INTERNAL_SERVER_ERROR, "the sessions cannot be listed")
+    })?;
+    Ok(Json(SessionsView { sessions }))
+}
+
+pub(super) fn malformed(rejection: PathRejection) -> Problem {
+    Problem::new(StatusCode::BAD_REQUEST, rejection.body_text())
+}

@@ -1,0 +1,203 @@
+//! The site server: machines dial in by Zenoh, people by HTTP.
+//!
+//! Owns the one Zenoh session, the fleet (room `fleet`), the recording (room `record`) and the API. What a
+//! machine's state means is said in `fleet`, what bytes mean in `wire`; this room moves them:
+//! ```text
+//! Zenoh callbacks ── try_send ─▶ aggregator (owns the fleet) ── newest frame ─▶ API, live clients, metrics
+//!        │                                                                          ▲
+//!        └────────── try_send ─▶ recorder thread (owns the file) ──── progress ─────┘
+//! ```
+//! Nothing waits for something behind it: full channels drop and count, live clients get the newest frame.
+
+mod aggregator;
+mod catalogue;
+mod clock;
+mod counters;
+mod http;
+mod inlet;
+mod recorder;
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::net::TcpListener;
+use tokio::sync::{mpsc, watch};
+use tokio::task::JoinHandle;
+
+use crate::config;
+use crate::fleet::{Fleet, SiteDescription};
+use crate::link;
+use catalogue::Catalogue;
+use clock::SiteClock;
+use counters::Counters;
+use recorder::Recorder;
+
+/// Messages between the callbacks and the aggregator: more than a second of forty machines. When it is full,
+/// new messages are dropped, which the gap counters show.
+const MESSAGES_QUEUED: usize = 32_768;
+/// Tokens that appear or vanish between two turns of the aggregator: every machine twice.
+const TOKENS_QUEUED: usize = 2 * crate::fleet::MACHINES_MAX;
+/// How long the parts that wait for others may take to end.
+const STOP_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// Why the site cannot start.
+#[derive(Debug, thiserror::Error)]
+pub enum SiteError {
+    /// The configuration asks for what is not allowed.
+    #[error("{0}")]
+    Refused(#[from] config::Violation),
+    /// The address of page and API cannot be used.
+    #[error("cannot listen on http://{address}/: {source}{}", hint(source))]
+    Listen {
+        /// Which address.
+        address: SocketAddr,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// The recording cannot be started.
+    #[error("cannot record to {}: {message}", directory.display())]
+    Record {
+        /// Where to.
+        directory: PathBuf,
+        /// What is wrong.
+        message: String,
+    },
+    /// Zenoh does not open its endpoints.
+    #[error("Zenoh cannot listen on {endpoints}: {message}")]
+    Zenoh {
+        /// Where.
+        endpoints: String,
+        /// What Zenoh says.
+        message: String,
+    },
+}
+
+fn hint(error: &std::io::Error) -> &'static str {
+    match error.kind() {
+        std::io::ErrorKind::AddrInUse => "; choose another port with --listen 127.0.0.1:PORT",
+        _ => "",
+    }
+}
+
+/// A site server that runs.
+pub struct Site {
+    address: SocketAddr,
+    endpoints: Vec<String>,
+    session: zenoh::Session,
+    inlet: inlet::Inlet,
+    recorder: Option<Recorder>,
+    stop: watch::Sender<bool>,
+    tasks: Vec<JoinHandle<()>>,
+}
+
+impl Site {
+    /// Opens everything; when it returns, machines can dial in and the page is served.
+    ///
+    /// # Errors
+    /// [`SiteError`]: an address is taken or refused, the directory cannot be written.
+    pub async fn start(config: &config::Site) -> Result<Self, SiteError> {
+        config.http.check()?;
+        let listen = config.http.listen;
+        let listener = TcpListener::bind(listen)
+            .await
+            .map_err(|source| SiteError::Listen { address: listen, source })?;
+        let address =
+            listener.local_addr().map_err(|source| SiteError::Listen { address: listen, source })?;
+
+        let clock = SiteClock::start();
+        let counters = Arc::new(Counters::default());
+        let description = SiteDescription {
+            id: config.id.clone(),
+            name: config.display_name().to_owned(),
+            origin: config.world.site_frame().origin(),
+            software: env!("CARGO_PKG_VERSION").to_owned(),
+        };
+        let (session, endpoints) = inlet::open(config).await?;
+        let catalogue = Arc::new(Catalogue::new(config.record.directory.join("sessions")));
+        let recorder = match config.record.enabled {
+            true => match Recorder::start(config, &catalogue, clock, Arc::clone(&counters)) {
+                Ok(recorder) => Some(recorder),
+                Err(error) => {
+                    link::close(session).await;
+                    return Err(error);
+                }
+            },
+            false => None,
+        };
+
+        let (message_sender, messages) = mpsc::channel(MESSAGES_QUEUED);
+        let (token_sender, tokens) = mpsc::channel(TOKENS_QUEUED);
+        let outlets = inlet::Outlets {
+            messages: message_sender,
+            tokens: token_sender,
+            recorder: recorder.as_ref().map(Recorder::inbox),
+            counters: Arc::clone(&counters),
+            clock,
+        };
+        let inlet = inlet::Inlet::declare(&session, &config.id, outlets)
+            .await
+            .map_err(|error| zenoh_error(config, error))?;
+
+        let (stop, stopped) = watch::channel(false);
+        let fleet = Fleet::new(description);
+        let (frame_sender, frames) = watch::channel(Arc::new(aggregator::Frame::of(&fleet, 0, clock.now())));
+        let aggregator = aggregator::run(fleet, messages, tokens, frame_sender, clock, stopped.clone());
+        let shared = http::Shared {
+            frames,
+            counters,
+            catalogue,
+            session: session.clone(),
+            record_directory: config.record.enabled.then(|| config.record.directory.clone()),
+            recorder: recorder.as_ref().map(Recorder::progress),
+            clock,
+            stopped: stopped.clone(),
+        };
+        let server = http::serve(listener, shared, stopped);
+        let tasks = vec![tokio::spawn(aggregator), tokio::spawn(server)];
+        Ok(Self { address, endpoints, session, inlet, recorder, stop, tasks })
+    }
+
+    /// Where page and API are served.
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// Where machines dial in, with the ports that the system chose.
+    pub fn endpoints(&self) -> &[String] {
+        &self.endpoints
+    }
+
+    /// Ends everything in order: no more messages, the recording finished, clients told, the session closed.
+    pub async fn stop(self) {
+        if tokio::time::timeout(STOP_TIMEOUT, self.inlet.undeclare()).await.is_err() {
+            tracing::warn!("Zenoh did not end the subscriptions in time");
+        }
+        if let Some(recorder) = self.recorder {
+            // The thread finishes its file; joining it must not hold up the others.
+            let finished = tokio::task::spawn_blocking(move || recorder.finish());
+            if tokio::time::timeout(2 * STOP_TIMEOUT, finished).await.is_err() {
+                tracing::error!("the recording did not end in time; it is recovered at the next start");
+            }
+        }
+        self.stop.send_replace(true);
+        for task in self.tasks {
+            let abort = task.abort_handle();
+            if tokio::time::timeout(STOP_TIMEOUT, task).await.is_err() {
+                abort.abort();
+            }
+        }
+        link::close(self.session).await;
+    }
+}
+
+/// Waits until the site is to end, or is gone.
+async fn ended(stopped: &mut watch::Receiver<bool>) {
+    // An error says that the sender is gone, and the site with it.
+    let _ = stopped.wait_for(|stopped| *stopped).await;
+}
+
+fn zenoh_error(config: &config::Site, error: impl std::fmt::Display) -> SiteError {
+    SiteError::Zenoh { endpoints: config.zenoh.listen.join(", "), message: error.to_string() }
+}

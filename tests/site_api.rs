@@ -1,0 +1,577 @@
+//! The site server from outside: real HTTP, real WebSockets, a real Zenoh peer that speaks as a machine does.
+#![cfg(feature = "shells")]
+#![allow(clippy::disallowed_methods, reason = "tests play machines and people, who have clocks")]
+
+use std::collections::BTreeMap;
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::process::Stdio;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use futures_util::{SinkExt as _, StreamExt as _};
+use holdfast::config;
+use holdfast::record;
+use holdfast::site::{Site, SiteError};
+use holdfast::state::{GnssState, Health, Mode};
+use holdfast::time::Stamp;
+use holdfast::wire::{
+    self, Attachment, BootId, Header, MachineReport, Odometry, Origin, RigidMotion, RosMessage as _, Topic,
+};
+use serde_json::Value;
+use tokio::io::{AsyncBufReadExt as _, AsyncReadExt as _, AsyncWriteExt as _, BufReader};
+use tokio::net::TcpStream;
+use tokio_tungstenite::tungstenite::Message;
+
+/// Nothing in here takes so long unless it is broken.
+const PATIENCE: Duration = Duration::from_secs(20);
+
+fn now() -> Stamp {
+    let since_epoch = SystemTime::now().duration_since(UNIX_EPOCH).expect("after 1970");
+    Stamp::from_nanos(i64::try_from(since_epoch.as_nanos()).expect("before 2262"))
+}
+
+/// A folder that goes with the test.
+struct Folder(PathBuf);
+
+impl Folder {
+    fn new(name: &str) -> Self {
+        let path = std::env::temp_dir().join(format!("holdfast-{name}-{}", std::process::id()));
+        std::fs::create_dir_all(&path).expect("a temporary folder");
+        Self(path)
+    }
+
+    fn config(&self) -> config::Site {
+        let text = "id = \"quarry\"\nname = \"Quarry\"\n[world]\nlatitude_deg = 47.0\nlongitude_deg = 8.0\n\
+                    altitude_m = 400.0\n[http]\nlisten = \"127.0.0.1:0\"\n\
+                    [zenoh]\nlisten = [\"tcp/127.0.0.1:0\"]\n";
+        let mut config: config::Site = config::parse(text, Path::new("site.toml")).expect("valid");
+        config.record.directory = self.0.clone();
+        config
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+/// A peer that publishes as a machine does.
+struct Machine {
+    id: &'static str,
+    session: zenoh::Session,
+    token: Option<zenoh::liveliness::LivelinessToken>,
+    boot: BootId,
+    sequences: BTreeMap<Topic, u64>,
+}
+
+impl Machine {
+    async fn connect(id: &'static str, boot: u64, endpoint: &str) -> Self {
+        let mut settings = zenoh::Config::default();
+        for (key, value) in [
+            ("mode", "\"peer\"".to_owned()),
+            ("listen/endpoints", "[]".to_owned()),
+            ("connect/endpoints", format!("[\"{endpoint}\"]")),
+            ("scouting/multicast/enabled", "false".to_owned()),
+            ("scouting/gossip/enabled", "false".to_owned()),
+        ] {
+            settings.insert_json5(key, &value).expect("a known key");
+        }
+        let session = zenoh::open(settings).await.expect("opens");
+        let boot = BootId(boot);
+        let token =
+            session.liveliness().declare_token(wire::alive_key("quarry", id, boot)).await.expect("token");
+        Self { id, session, token: Some(token), boot, sequences: BTreeMap::new() }
+    }
+
+    async fn put(&mut self, topic: Topic, payload: Vec<u8>) {
+        let sequence = self.sequences.entry(topic).or_default();
+        let attachment = Attachment { sequence: *sequence, boot: self.boot, stamp: now(), sent: now() };
+        *sequence += 1;
+        let key = wire::topic_key("quarry", self.id, topic);
+        let put = self.session.put(key, payload).attachment(attachment.encode().to_vec());
+        put.await.expect("put");
+    }
+
+    /// A pose 10 m east, 20 m north; looking north, which is a quarter turn from east.
+    async fn pose(&mut self) {
+        let mut covariance = [0.0; 36];
+        for (axis, variance) in [1e-4, 4e-4, 9e-4, 1e-6, 1e-6, 1e-6].into_iter().enumerate() {
+            covariance[7 * axis] = variance;
+        }
+        let half = std::f64::consts::FRAC_1_SQRT_2;
+        let message = Odometry {
+            header: Header::new(now(), "world"),
+            child_frame_id: "imu".to_owned(),
+            position: [10.0, 20.0, 1.0],
+            orientation: [0.0, 0.0, half, half],
+            pose_covariance: covariance,
+            linear: [0.3, 0.4, 0.0],
+            angular: [0.0; 3],
+            twist_covariance: [0.0; 36],
+        };
+        self.put(Topic::Pose, message.encode()).await;
+    }
+
+    async fn health(&mut self) {
+        let report = MachineReport {
+            id: self.id.to_owned(),
+            name: "Number one".to_owned(),
+            software: "0".to_owned(),
+            boot: self.boot,
+            world: Origin { latitude_deg: 47.0, longitude_deg: 8.0, altitude_m: 400.0 },
+            cabin_from_imu: RigidMotion {
+                translation_m: [0.0, 0.0, 2.0],
+                quaternion_xyzw: [0.0, 0.0, 0.0, 1.0],
+            },
+            world_from_odom: None,
+            estimate_age_s: Some(0.01),
+            health: Health {
+                stamp_ns: now().as_nanos(),
+                mode: Mode::Main,
+                waits_for: None,
+                gnss: GnssState::Fixed,
+                position_sigma_m: Some(0.02),
+                heading_sigma_deg: Some(0.1),
+                worst_test_ratio: 0.2,
+                worst_test_sensor: None,
+                sensors: vec![],
+                outage: None,
+                updates: 1,
+                update_us: 1.0,
+                gyro_bias: [0.0; 3],
+                accel_bias: [0.0; 3],
+            },
+        };
+        self.put(Topic::Health, wire::encode_json("machine report", &report).expect("JSON")).await;
+    }
+
+    /// Speaks until `done` says that it was heard: what is put before the link stands is lost.
+    async fn speak_until<F: AsyncFnMut() -> bool>(&mut self, mut done: F) {
+        let speaking = async {
+            loop {
+                self.health().await;
+                self.pose().await;
+                if done().await {
+                    return;
+                }
+                tokio::time::sleep(Duration::from_millis(50)).await;
+            }
+        };
+        tokio::time::timeout(PATIENCE, speaking).await.expect("heard in time");
+    }
+}
+
+struct Answer {
+    status: u16,
+    headers: BTreeMap<String, String>,
+    body: Vec<u8>,
+}
+
+impl Answer {
+    fn json(&self) -> Value {
+        serde_json::from_slice(&self.body).expect("JSON")
+    }
+
+    fn header(&self, name: &str) -> &str {
+        self.headers.get(name).map_or("", String::as_str)
+    }
+}
+
+/// One HTTP exchange, by hand: so that any header and method can be sent.
+async fn exchange(site: SocketAddr, method: &str, path: &str, headers: &[(&str, &str)]) -> Answer {
+    let mut stream = TcpStream::connect(site).await.expect("connects");
+    let mut request = format!("{method} {path} HTTP/1.1\r\nConnection: close\r\n");
+    if !headers.iter().any(|(name, _)| *name == "Host") {
+        request.push_str(&format!("Host: {site}\r\n"));
+    }
+    for (name, value) in headers {
+        request.push_str(&format!("{name}: {value}\r\n"));
+    }
+    request.push_str("\r\n");
+    stream.write_all(request.as_bytes()).await.expect("sent");
+    let mut bytes = Vec::new();
+    let read = tokio::time::timeout(PATIENCE, stream.read_to_end(&mut bytes)).await;
+    read.expect("answered in time").expect("read");
+    let end = bytes.windows(4).position(|four| four == b"\r\n\r\n").expect("a head");
+    let head = std::str::from_utf8(&bytes[..end]).expect("text");
+    let mut lines = head.lines();
+    let status = lines.next().and_then(|line| line.split(' ').nth(1)).expect("a status");
+    let headers: BTreeMap<String, String> = lines
+        .filter_map(|line| line.split_once(':'))
+        .map(|(name, value)| (name.to_ascii_lowercase(), value.trim().to_owned()))
+        .collect();
+    let mut body = bytes[end + 4..].to_vec();
+    if headers.get("transfer-encoding").is_some_and(|encoding| encoding == "chunked") {
+        body = unchunked(&body);
+    }
+    Answer { status: status.parse().expect("a number"), headers, body }
+}
+
+fn unchunked(mut rest: &[u8]) -> Vec<u8> {
+    let mut body = Vec::new();
+    loop {
+        let line = rest.windows(2).position(|two| two == b"\r\n").expect("a chunk's length");
+        let text = std::str::from_utf8(&rest[..line]).expect("text");
+        let length = usize::from_str_radix(text, 16).expect("a number");
+        if length == 0 {
+            return body;
+        }
+        body.extend(&rest[line + 2..line + 2 + length]);
+        rest = &rest[line + 2 + length + 2..];
+    }
+}
+
+async fn get(site: SocketAddr, path: &str) -> Answer {
+    exchange(site, "GET", path, &[]).await
+}
+
+type Socket = tokio_tungstenite::WebSocketStream<tokio_tungstenite::MaybeTlsStream<TcpStream>>;
+
+async fn live(site: SocketAddr) -> Socket {
+    let connected = tokio_tungstenite::connect_async(format!("ws://{site}/api/v1/live")).await;
+    connected.expect("connects").0
+}
+
+async fn next(socket: &mut Socket) -> Value {
+    let message = tokio::time::timeout(PATIENCE, socket.next()).await.expect("in time");
+    let message = message.expect("open").expect("a message");
+    serde_json::from_str(message.to_text().expect("text")).expect("JSON")
+}
+
+/// Waits until machine `a` is as `presence` says, by the live deltas.
+async fn wait_for_presence(socket: &mut Socket, presence: &str) -> Value {
+    let waiting = async {
+        loop {
+            let delta = next(socket).await;
+            let machines = delta["machines"].as_array().expect("a delta").clone();
+            let found = machines.into_iter().find(|machine| machine["id"] == "a");
+            if let Some(machine) = found.filter(|machine| machine["presence"] == presence) {
+                return machine;
+            }
+        }
+    };
+    tokio::time::timeout(PATIENCE, waiting).await.expect("in time")
+}
+
+async fn is_online(site: SocketAddr) -> bool {
+    get(site, "/api/v1/machines/a").await.json()["presence"] == "online"
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn machine_that_speaks_is_on_the_fleet_with_its_pose_and_health() {
+    let folder = Folder::new("fleet");
+    let site = Site::start(&folder.config()).await.expect("starts");
+    let empty = get(site.address(), "/api/v1/fleet").await;
+    assert_eq!((empty.status, empty.header("content-type")), (200, "application/json"));
+    assert_eq!(empty.json()["machines"], Value::Array(vec![]));
+    assert_eq!(empty.json()["site"]["world"]["longitude_deg"], 8.0);
+
+    let mut machine = Machine::connect("a", 0xb007, &site.endpoints()[0]).await;
+    machine.speak_until(async || is_online(site.address()).await).await;
+    let fleet = get(site.address(), "/api/v1/fleet").await.json();
+    let view = &fleet["machines"][0];
+    assert_eq!((&view["id"], &view["name"]), (&"a".into(), &"Number one".into()));
+    assert_eq!((&view["state_word"], &view["severity"]), (&"RTK FIXED".into(), &"good".into()));
+    assert_eq!(view["boot"], "000000000000b007");
+    let pose = &view["pose"];
+    assert_eq!(pose["position_m"], serde_json::json!([10.0, 20.0, 1.0]));
+    assert_eq!(pose["speed_mps"], 0.5);
+    assert!((pose["latitude_deg"].as_f64().expect("number") - 47.00018).abs() < 1e-5, "{pose}");
+    assert!(pose["heading_deg"].as_f64().expect("number").abs() < 1e-9, "{pose}");
+    assert!(pose["age_s"].as_f64().expect("number") < 0.5, "{pose}");
+    assert_eq!(view["link"]["missed"], 0);
+    assert!(view["link"]["clock_offset_s"].as_f64().expect("number").abs() < 0.5);
+    assert!(fleet["time"].as_str().is_some_and(|time| time.ends_with('Z') && time.len() == 30));
+    let machines = get(site.address(), "/api/v1/machines").await.json();
+    assert_eq!(machines["machines"].as_array().map(Vec::len), Some(1));
+
+    // What cannot be used is counted, and the rest goes on.
+    let key = wire::topic_key("quarry", "a", Topic::Pose);
+    machine.session.put(&key, vec![1, 2, 3]).await.expect("put without attachment");
+    machine.put(Topic::Health, b"{}".to_vec()).await;
+    machine
+        .speak_until(async || get(site.address(), "/api/v1/machines/a").await.json()["link"]["refused"] == 2)
+        .await;
+    machine.speak_until(async || is_online(site.address()).await).await;
+    site.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn live_client_gets_a_snapshot_and_deltas_in_sequence() {
+    let folder = Folder::new("live");
+    let site = Site::start(&folder.config()).await.expect("starts");
+    let mut machine = Machine::connect("a", 1, &site.endpoints()[0]).await;
+    machine.speak_until(async || is_online(site.address()).await).await;
+    let mut socket = live(site.address()).await;
+    let snapshot = next(&mut socket).await;
+    assert_eq!((&snapshot["type"], &snapshot["seq"]), (&"snapshot".into(), &0.into()));
+    assert_eq!(snapshot["fleet"]["machines"][0]["id"], "a");
+
+    let subscribe = r#"{"type":"subscribe","rate_hz":10,"machines":["a"]}"#;
+    socket.send(Message::text(subscribe)).await.expect("sent");
+    let mut received = 0;
+    for sequence in 1..=10 {
+        machine.pose().await;
+        let delta = next(&mut socket).await;
+        assert_eq!((&delta["type"], &delta["seq"]), (&"delta".into(), &sequence.into()));
+        assert_eq!(delta["dropped"], 0);
+        for view in delta["machines"].as_array().expect("machines") {
+            let count = view["link"]["received"].as_u64().expect("number");
+            assert!(count >= received, "newer than before");
+            received = count;
+        }
+    }
+    socket.send(Message::text("nonsense")).await.expect("sent");
+    let answer = tokio::time::timeout(PATIENCE, async {
+        loop {
+            let message = next(&mut socket).await;
+            if message["type"] == "error" {
+                return message;
+            }
+        }
+    });
+    assert!(answer.await.expect("an answer")["detail"].as_str().is_some_and(|detail| !detail.is_empty()));
+    // The end of the site is told.
+    site.stop().await;
+    let closed = tokio::time::timeout(PATIENCE, async {
+        while let Some(Ok(message)) = socket.next().await {
+            if let Message::Close(Some(frame)) = message {
+                return Some(u16::from(frame.code));
+            }
+        }
+        None
+    });
+    assert_eq!(closed.await.expect("closed in time"), Some(1001));
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn machine_without_its_token_is_lost_within_two_seconds_and_comes_back() {
+    let folder = Folder::new("lost");
+    let site = Site::start(&folder.config()).await.expect("starts");
+    let mut machine = Machine::connect("a", 1, &site.endpoints()[0]).await;
+    machine.speak_until(async || is_online(site.address()).await).await;
+    let mut socket = live(site.address()).await;
+    next(&mut socket).await;
+    let dropped = now();
+    drop(machine.token.take());
+    let lost = wait_for_presence(&mut socket, "lost").await;
+    assert!(now().seconds_since(dropped) < 2.0);
+    assert_eq!(lost["severity"], "offline");
+    assert!(lost["state_word"].as_str().is_some_and(|word| word.starts_with("OFFLINE 0:")));
+    assert_eq!(lost["pose"]["position_m"][0], 10.0, "keeps its last values");
+
+    let boot = BootId(2);
+    machine.boot = boot;
+    machine.sequences.clear();
+    let key = wire::alive_key("quarry", "a", boot);
+    machine.token = Some(machine.session.liveliness().declare_token(key).await.expect("token"));
+    machine.speak_until(async || is_online(site.address()).await).await;
+    assert_eq!(wait_for_presence(&mut socket, "online").await["boot"], "0000000000000002");
+    site.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn everything_that_arrives_is_recorded_and_can_be_downloaded() {
+    let folder = Folder::new("record");
+    let site = Site::start(&folder.config()).await.expect("starts");
+    let mut machine = Machine::connect("a", 1, &site.endpoints()[0]).await;
+    machine.speak_until(async || is_online(site.address()).await).await;
+    let session = async || get(site.address(), "/api/v1/sessions").await.json()["sessions"][0].clone();
+    machine.speak_until(async || session().await["machines"] == serde_json::json!(["a"])).await;
+    let recording = session().await;
+    assert_eq!((&recording["state"], &recording["ended"]), (&"recording".into(), &Value::Null));
+    let id = recording["id"].as_str().expect("an id").to_owned();
+    // A running session can be downloaded as far as it is on the disk.
+    machine.speak_until(async || session().await["bytes"].as_u64() > Some(2000)).await;
+    let path = format!("/api/v1/sessions/{id}/recording.mcap");
+    let part = exchange(site.address(), "GET", &path, &[("Range", "bytes=0-7")]).await;
+    assert_eq!((part.status, part.body.as_slice()), (206, &b"\x89MCAP0\r\n"[..]));
+    let second = Site::start(&folder.config()).await;
+    assert!(matches!(second, Err(SiteError::Record { .. })), "two writers in one folder");
+    let endpoint_of_the_first = site.address();
+    site.stop().await;
+    assert!(TcpStream::connect(endpoint_of_the_first).await.is_err(), "the port is free again");
+
+    let site = Site::start(&folder.config()).await.expect("starts again");
+    let list = get(site.address(), "/api/v1/sessions").await.json();
+    let complete = list["sessions"].as_array().expect("sessions").iter().find(|session| session["id"] == *id);
+    let complete = complete.expect("the session is listed").clone();
+    assert_eq!(complete["state"], "complete");
+    assert!(complete["ended"].is_string() && complete["messages"].as_u64() > Some(2), "{complete}");
+    let download = get(site.address(), &path).await;
+    assert_eq!(download.status, 200);
+    assert!(download.header("content-disposition").contains(&format!("{id}.mcap")));
+    assert_eq!(download.body.len() as u64, complete["bytes"].as_u64().expect("number"));
+    let unchanged =
+        exchange(site.address(), "GET", &path, &[("If-None-Match", download.header("etag"))]).await;
+    assert_eq!(unchanged.status, 304);
+    let copy = folder.0.join("copy.mcap");
+    std::fs::write(&copy, &download.body).expect("written");
+    let messages: Vec<_> =
+        record::read_messages(&copy).expect("readable").collect::<Result<_, _>>().expect("whole");
+    assert_eq!(messages.len() as u64, complete["messages"].as_u64().expect("number"));
+    assert!(messages.iter().any(|message| message.topic == Topic::Pose && message.machine == "a"));
+    assert!(messages.iter().any(|message| message.topic == Topic::Health));
+    site.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn errors_are_problem_details_and_every_answer_is_guarded() {
+    let folder = Folder::new("errors");
+    let mut config = folder.config();
+    config.record.enabled = false;
+    let site = Site::start(&config).await.expect("starts");
+    let address = site.address();
+    for (method, path, headers, status) in [
+        ("GET", "/api/v1/machines/nobody", &[][..], 404),
+        ("GET", "/api/v1/machines/%ff", &[], 400),
+        ("GET", "/api/v1/nothing", &[], 404),
+        ("GET", "/nothing", &[], 404),
+        ("GET", "/../../etc/passwd", &[], 404),
+        ("GET", "/api/v1/sessions/nothing/recording.mcap", &[], 404),
+        ("GET", "/api/v1/sessions/..%2f..%2fetc/recording.mcap", &[], 404),
+        ("POST", "/api/v1/fleet", &[], 405),
+        ("DELETE", "/api/v1/machines/a", &[], 405),
+        ("POST", "/api/openapi.json", &[], 405),
+        ("GET", "/api/v1/live", &[], 400),
+        ("GET", "/api/v1/fleet", &[("Host", "evil.example")], 421),
+        ("GET", "/api/v1/live", &[("Upgrade", "websocket"), ("Origin", "http://evil.example")], 403),
+    ] {
+        let answer = exchange(address, method, path, headers).await;
+        let said = format!("{method} {path}: {}", String::from_utf8_lossy(&answer.body));
+        assert_eq!(answer.status, status, "{said}");
+        assert_eq!(answer.header("content-type"), "application/problem+json", "{said}");
+        let problem = answer.json();
+        assert_eq!(problem["status"], status, "{said}");
+        assert!(problem["title"].is_string() && problem["detail"].is_string(), "{said}");
+        assert_eq!(problem["type"], "about:blank", "{said}");
+        assert_eq!(answer.header("cache-control"), "no-store", "{said}");
+        assert_eq!(answer.header("x-content-type-options"), "nosniff", "{said}");
+        assert!(answer.header("content-security-policy").contains("default-src 'self'"), "{said}");
+    }
+    let allowed = exchange(address, "POST", "/api/v1/fleet", &[]).await;
+    assert!(allowed.header("allow").contains("GET"), "{:?}", allowed.headers);
+    for (method, path) in [("HEAD", "/api/v1/fleet"), ("GET", "/healthz"), ("GET", "/readyz")] {
+        assert_eq!(exchange(address, method, path, &[]).await.status, 200, "{path}");
+    }
+    let sessions = get(address, "/api/v1/sessions").await.json();
+    assert_eq!(sessions["sessions"], Value::Array(vec![]), "nothing is recorded");
+    site.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn openapi_and_metrics_name_what_there_is() {
+    let folder = Folder::new("openapi");
+    let site = Site::start(&folder.config()).await.expect("starts");
+    let mut machine = Machine::connect("a", 1, &site.endpoints()[0]).await;
+    machine.speak_until(async || is_online(site.address()).await).await;
+    let openapi = get(site.address(), "/api/openapi.json").await.json();
+    assert!(openapi["openapi"].as_str().is_some_and(|version| version.starts_with("3.1")), "{openapi}");
+    for path in [
+        "/api/v1/fleet",
+        "/api/v1/machines",
+        "/api/v1/machines/{id}",
+        "/api/v1/live",
+        "/api/v1/sessions",
+        "/api/v1/sessions/{id}/recording.mcap",
+        "/healthz",
+        "/readyz",
+        "/metrics",
+    ] {
+        assert!(openapi["paths"][path]["get"].is_object(), "{path}");
+    }
+    for schema in ["FleetView", "MachineView", "PoseView", "Health", "LiveMessage", "Request", "Problem"] {
+        assert!(openapi["components"]["schemas"][schema].is_object(), "{schema}");
+    }
+    let metrics = get(site.address(), "/metrics").await;
+    let text = String::from_utf8(metrics.body.clone()).expect("text");
+    for line in [
+        "holdfast_machine_up{machine=\"a\"} 1",
+        "holdfast_pose_age_seconds{machine=\"a\"} ",
+        "holdfast_position_sigma_meters{machine=\"a\",axis=\"semi_major\"} 0.02",
+        "holdfast_gnss_fix{machine=\"a\",type=\"fixed\"} 1",
+        "holdfast_gnss_fix{machine=\"a\",type=\"silent\"} 0",
+        "holdfast_clock_offset_seconds{machine=\"a\"} ",
+        "holdfast_samples_received_total{machine=\"a\"} ",
+        "holdfast_samples_missed_total{machine=\"a\"} 0",
+        "holdfast_ws_clients 0",
+        "holdfast_recording_bytes_total ",
+        "holdfast_recording_unsynced_seconds ",
+        "holdfast_disk_free_bytes ",
+        "holdfast_build_info{version=",
+    ] {
+        assert!(text.lines().any(|found| found.starts_with(line)), "{line} is not in\n{text}");
+    }
+    assert!(text.ends_with("# EOF\n"));
+    site.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn address_that_is_taken_or_reachable_is_refused_in_words() {
+    let folder = Folder::new("address");
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").expect("binds");
+    let mut config = folder.config();
+    config.http.listen = taken.local_addr().expect("address");
+    let message = Site::start(&config).await.err().expect("taken").to_string();
+    assert!(message.contains("--listen"), "{message}");
+    config.http.listen = "0.0.0.0:0".parse().expect("address");
+    let message = Site::start(&config).await.err().expect("refused").to_string();
+    assert!(message.contains("loopback"), "{message}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn killed_site_leaves_a_recording_that_the_next_start_recovers() {
+    let folder = Folder::new("killed");
+    let file = folder.0.join("site.toml");
+    std::fs::write(&file, toml::to_string(&folder.config()).expect("TOML")).expect("written");
+    let mut process = tokio::process::Command::new(env!("CARGO_BIN_EXE_holdfast"))
+        .arg("site")
+        .arg("--config")
+        .arg(&file)
+        .stdout(Stdio::piped())
+        .kill_on_drop(true)
+        .spawn()
+        .expect("starts");
+    let mut lines = BufReader::new(process.stdout.take().expect("piped")).lines();
+    let mut said = async |before: &str, after: &str| {
+        let line = tokio::time::timeout(PATIENCE, lines.next_line()).await.expect("in time");
+        let line = line.expect("read").expect("still running");
+        let told = line.strip_prefix(before).and_then(|line| line.strip_suffix(after));
+        told.expect("as documented").to_owned()
+    };
+    let address: SocketAddr = said("dashboard http://", "/").await.parse().expect("an address");
+    let endpoint = said("zenoh ", "").await;
+    let mut machine = Machine::connect("a", 1, &endpoint).await;
+    machine
+        .speak_until(async || {
+            let sessions = get(address, "/api/v1/sessions").await.json();
+            sessions["sessions"][0]["bytes"].as_u64() > Some(5000)
+        })
+        .await;
+    let before = get(address, "/api/v1/sessions").await.json()["sessions"][0].clone();
+    process.kill().await.expect("killed");
+
+    let site = Site::start(&folder.config()).await.expect("starts");
+    let recovered = tokio::time::timeout(PATIENCE, async {
+        loop {
+            let list = get(site.address(), "/api/v1/sessions").await.json();
+            let sessions = list["sessions"].as_array().expect("sessions").clone();
+            let found = sessions.into_iter().find(|session| session["id"] == before["id"]).expect("listed");
+            if found["state"] == "recovered" {
+                return found;
+            }
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    })
+    .await
+    .expect("recovered in time");
+    assert_eq!(recovered["machines"], serde_json::json!(["a"]));
+    let id = recovered["id"].as_str().expect("an id");
+    let path = folder.0.join("sessions").join(id).join(format!("{id}-0000.mcap"));
+    let messages =
+        record::read_messages(&path).expect("opens").collect::<Result<Vec<_>, _>>().expect("whole");
+    assert_eq!(messages.len() as u64, recovered["messages"].as_u64().expect("number"));
+    assert!(messages.iter().filter(|message| message.topic == Topic::Pose).count() > 3);
+    site.stop().await;
+}

@@ -1,0 +1,28 @@
+/**
+ * Holds our types against those generated from the server's OpenAPI description: if they differ, this file does
+ * not compile. The generated ones write three numbers as a list, and what may be `null` as optional.
+ */
+
+import type { components } from "./generated";
+import type { FleetView, LiveMessage, MachineView, SessionView } from "./types";
+
+type Schemas = components["schemas"];
+
+/** Lists without their length, fields without their question mark. */
+type Plain<T> = T extends readonly (infer Item)[]
+  ? Plain<Item>[]
+  : T extends object
+    ? { [Key in keyof T]-?: Plain<Exclude<T[Key], undefined>> }
+    : T;
+
+type Same<A, B> = [Plain<A>] extends [Plain<B>] ? ([Plain<B>] extends [Plain<A>] ? true : false) : false;
+
+/** Each is `true`, or this is where the server and the page went apart. */
+export type Agreement = [
+  Holds<Same<FleetView, Schemas["FleetView"]>>,
+  Holds<Same<MachineView, Schemas["MachineView"]>>,
+  Holds<Same<LiveMessage, Schemas["LiveMessage"]>>,
+  Holds<Same<SessionView, Schemas["SessionView"]>>,
+];
+
+type Holds<T extends true> = T;

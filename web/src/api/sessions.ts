@@ -1,0 +1,18 @@
+/** The list of recordings. */
+
+import { checkSessions } from "./check";
+import type { SessionView } from "./types";
+
+export async function fetchSessions(): Promise<SessionView[]> {
+  const response = await fetch("/api/v1/sessions", {
+    headers: { accept: "application/json" },
+    cache: "no-store",
+    signal: AbortSignal.timeout(10_000),
+  });
+  if (!response.ok) throw new Error(`the site answered ${response.status}`);
+  return checkSessions(await response.json());
+}
+
+export function recordingUrl(id: string): string {
+  return `/api/v1/sessions/${encodeURIComponent(id)}/recording.mcap`;
+}

@@ -1,0 +1,177 @@
+/**
+ * What the site says, with the site's own names: the views of `/api/v1`.
+ *
+ * Times are RFC 3339 in UTC; ages are seconds by the site's clock at the moment of sending. `agreement.ts`
+ * holds these against the types generated from the server's own description, and does not compile if they differ.
+ */
+
+export const PRESENCES = ["online", "stale", "lost"] as const;
+export type Presence = (typeof PRESENCES)[number];
+
+export const SEVERITIES = ["good", "warning", "bad", "offline"] as const;
+export type Severity = (typeof SEVERITIES)[number];
+
+export const MODES = ["initializing", "main", "fallback", "imu_only"] as const;
+export type Mode = (typeof MODES)[number];
+
+export const GNSS_STATES = ["fixed", "degraded", "frozen", "jumping", "silent", "recovering"] as const;
+export type GnssState = (typeof GNSS_STATES)[number];
+
+export const SENSORS = [
+  "imu",
+  "base_imu",
+  "gnss_left",
+  "gnss_right",
+  "lidar_odometry",
+  "cabin_turn",
+] as const;
+export type Sensor = (typeof SENSORS)[number];
+
+export const SESSION_STATES = ["recording", "complete", "recovered", "truncated"] as const;
+export type SessionState = (typeof SESSION_STATES)[number];
+
+export type Vector3 = readonly [number, number, number];
+
+/** Origin of the site's east-north-up frame. */
+export interface WorldOrigin {
+  latitude_deg: number;
+  longitude_deg: number;
+  altitude_m: number;
+}
+
+export interface Site {
+  id: string;
+  name: string;
+  world: WorldOrigin;
+  software: string;
+}
+
+/** The 95 % ellipse of the horizontal position. */
+export interface Ellipse95 {
+  semi_major_m: number;
+  semi_minor_m: number;
+  /** Of the longer axis, clockwise from north. */
+  bearing_deg: number;
+}
+
+export interface PoseView {
+  stamp: string;
+  age_s: number;
+  /** Of the cabin IMU: the body whose position is estimated; east, north, up. */
+  position_m: Vector3;
+  latitude_deg: number;
+  longitude_deg: number;
+  altitude_m: number;
+  /** A point of the axis about which the cabin turns: where the machine is drawn. */
+  cabin_position_m: Vector3;
+  /** Of the cabin's x axis, clockwise from north. */
+  heading_deg: number;
+  heading_sigma_deg: number;
+  chassis_heading_deg: number | null;
+  chassis_position_m: Vector3 | null;
+  speed_mps: number;
+  position_sigma_m: Vector3;
+  ellipse95: Ellipse95;
+}
+
+export interface SensorHealth {
+  sensor: Sensor;
+  rate_hz: number;
+  age_s: number | null;
+  received: number;
+  refused: number;
+  last_refusal: string | null;
+}
+
+export interface OutageReport {
+  start_stamp_ns: number;
+  end_stamp_ns: number | null;
+  cause: GnssState;
+  travelled_m: number;
+  jump_m: number | null;
+}
+
+export interface Health {
+  stamp_ns: number;
+  mode: Mode;
+  waits_for: string | null;
+  gnss: GnssState;
+  position_sigma_m: number | null;
+  heading_sigma_deg: number | null;
+  /** Over 1 was refused. */
+  worst_test_ratio: number;
+  worst_test_sensor: Sensor | null;
+  sensors: SensorHealth[];
+  outage: OutageReport | null;
+  updates: number;
+  update_us: number;
+  gyro_bias: Vector3;
+  accel_bias: Vector3;
+}
+
+export interface HealthView {
+  age_s: number;
+  report: Health;
+}
+
+export interface LinkView {
+  pose_rate_hz: number;
+  received: number;
+  missed: number;
+  refused: number;
+  clock_offset_s: number | null;
+}
+
+export interface MachineView {
+  id: string;
+  name: string;
+  presence: Presence;
+  presence_since: string;
+  /** Drawn at each start of the machine's program; empty if not known yet. */
+  boot: string;
+  /** One plain word for people, chosen by the site. */
+  state_word: string;
+  severity: Severity;
+  pose: PoseView | null;
+  health: HealthView | null;
+  link: LinkView;
+}
+
+export interface FleetView {
+  site: Site;
+  time: string;
+  machines: MachineView[];
+}
+
+export interface Snapshot {
+  type: "snapshot";
+  seq: number;
+  fleet: FleetView;
+}
+
+export interface Delta {
+  type: "delta";
+  seq: number;
+  time: string;
+  machines: MachineView[];
+  dropped: number;
+}
+
+/** The answer to a request of ours that the site did not understand; everything goes on as before. */
+export interface LiveError {
+  type: "error";
+  detail: string;
+}
+
+export type LiveMessage = Snapshot | Delta | LiveError;
+
+export interface SessionView {
+  id: string;
+  state: SessionState;
+  started: string;
+  ended: string | null;
+  bytes: number;
+  messages: number;
+  machines: string[];
+  files: number;
+}

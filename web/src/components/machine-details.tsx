@@ -1,0 +1,114 @@
+/** Everything the site says about one machine: numbers, the last minute, sensors, the outage. */
+
+import type { OutageReport, PoseView } from "../api/types";
+import { HEALTH_FRESH_S, healthAge_s, POSE_FRESH_S, poseAge_s } from "../store/freshness";
+import type { Machine, State } from "../store/store";
+import { useSpeech } from "../text";
+import { Field } from "./field";
+import { HistoryPlot } from "./history-plot";
+import { SensorTable } from "./sensor-table";
+
+interface DetailsProps {
+  machine: Machine;
+  state: State;
+}
+
+export function MachineDetails({ machine, state }: DetailsProps) {
+  const { text } = useSpeech();
+  const { view } = machine;
+  const healthAge = healthAge_s(state, machine);
+  return (
+    <section class="details" aria-label={text.details.title(view.name)}>
+      <h3>{text.details.lastMinute}</h3>
+      <HistoryPlot name={view.name} trace={machine.trace} now_ms={state.now_ms} />
+      <h3>{text.details.numbers}</h3>
+      <Numbers machine={machine} state={state} />
+      <h3>{text.details.sensors}</h3>
+      <SensorTable
+        sensors={view.health?.report.sensors ?? []}
+        extraAge_s={healthAge}
+        stale={healthAge !== null && healthAge > HEALTH_FRESH_S}
+      />
+      <h3>{text.details.outage}</h3>
+      <Outage outage={view.health?.report.outage ?? null} stamp_ns={view.health?.report.stamp_ns ?? null} />
+    </section>
+  );
+}
+
+function Numbers({ machine, state }: DetailsProps) {
+  const { text, format } = useSpeech();
+  const { pose, health, link, boot } = machine.view;
+  const poseAge = { age_s: poseAge_s(state, machine), fresh_s: POSE_FRESH_S };
+  const healthAge = { age_s: healthAge_s(state, machine), fresh_s: HEALTH_FRESH_S };
+  const worst = health?.report ?? null;
+  return (
+    <dl class="fields fields-wide">
+      {pose !== null && <PoseNumbers pose={pose} age={poseAge} />}
+      {worst !== null && (
+        <Field name={text.fields.worstTest} hint={text.fields.worstTestHint} {...healthAge}>
+          {format.number(worst.worst_test_ratio, 2)}
+          {worst.worst_test_sensor !== null && ` (${text.sensor[worst.worst_test_sensor]})`}
+        </Field>
+      )}
+      <Field name={text.fields.poseRate}>{format.rate(link.pose_rate_hz)}</Field>
+      <Field name={text.fields.missed}>
+        {text.fields.missedValue(format.count(link.missed), format.count(link.received + link.missed))}
+      </Field>
+      <Field name={text.fields.refused}>{format.count(link.refused)}</Field>
+      <Field name={text.fields.clockOffset}>
+        {link.clock_offset_s === null
+          ? text.fields.unknown
+          : `${format.number(link.clock_offset_s * 1000, 1)} ms`}
+      </Field>
+      <Field name={text.fields.boot}>{boot === "" ? text.fields.unknown : boot}</Field>
+    </dl>
+  );
+}
+
+function PoseNumbers({ pose, age }: { pose: PoseView; age: { age_s: number | null; fresh_s: number } }) {
+  const { text, format } = useSpeech();
+  const { semi_major_m, semi_minor_m, bearing_deg } = pose.ellipse95;
+  return (
+    <>
+      <Field name={text.fields.position} {...age}>
+        {pose.position_m.map((metres) => format.number(metres, 3)).join(", ")} m
+      </Field>
+      <Field name={text.fields.geodetic} {...age}>
+        {format.degrees(pose.latitude_deg, 7)}, {format.degrees(pose.longitude_deg, 7)}
+      </Field>
+      <Field name={text.fields.altitude} {...age}>
+        {format.metres(pose.altitude_m, 3)}
+      </Field>
+      <Field name={text.fields.ellipse} {...age}>
+        {text.fields.ellipseValue(
+          format.smallLength(semi_major_m),
+          format.smallLength(semi_minor_m),
+          format.bearing(bearing_deg),
+        )}
+      </Field>
+      <Field name={text.fields.chassisHeading} {...age}>
+        {format.bearing(pose.chassis_heading_deg)}
+      </Field>
+    </>
+  );
+}
+
+function Outage({ outage, stamp_ns }: { outage: OutageReport | null; stamp_ns: number | null }) {
+  const { text, format } = useSpeech();
+  if (outage === null) return <p class="empty">{text.details.outageNone}</p>;
+  const end_ns = outage.end_stamp_ns ?? stamp_ns;
+  const lasted_s = end_ns === null ? null : (end_ns - outage.start_stamp_ns) / 1e9;
+  return (
+    <dl class="fields fields-wide">
+      <Field name={outage.end_stamp_ns === null ? text.details.outageRunning : text.details.outageLast}>
+        {format.span(lasted_s)}
+      </Field>
+      <Field name={text.details.outageCause}>{text.gnss[outage.cause]}</Field>
+      <Field name={text.details.outageBegan}>{format.timeOfDay(outage.start_stamp_ns / 1e6)}</Field>
+      <Field name={text.details.outageTravelled}>{format.metres(outage.travelled_m, 1)}</Field>
+      {outage.jump_m !== null && (
+        <Field name={text.details.outageJump}>{format.smallLength(outage.jump_m)}</Field>
+      )}
+    </dl>
+  );
+}

@@ -1,0 +1,36 @@
+/**
+ * How old a value may be before it is drawn as out of date.
+ *
+ * This is a matter of drawing, field by field; whether a machine is online is the site's word (`presence`).
+ */
+
+import type { Severity } from "../api/types";
+import { ageNow_s, type Machine, type State } from "./store";
+
+/** Poses come many times a second. */
+export const POSE_FRESH_S = 0.5;
+/** Health comes once a second. */
+export const HEALTH_FRESH_S = 2.5;
+
+export function poseAge_s(state: State, { view, received_ms }: Machine): number | null {
+  return view.pose === null ? null : ageNow_s(view.pose.age_s, received_ms, state.now_ms);
+}
+
+export function healthAge_s(state: State, { view, received_ms }: Machine): number | null {
+  return view.health === null ? null : ageNow_s(view.health.age_s, received_ms, state.now_ms);
+}
+
+/** Whether the machine as a whole is drawn as out of date: by the site's word, or because the site is silent. */
+export function isStale(state: State, machine: Machine): boolean {
+  return machine.view.presence !== "online" || state.link.phase !== "open" || oldPose(state, machine);
+}
+
+/** What to draw: the site's word while it speaks; nobody's word is good for a machine once the site is silent. */
+export function shownSeverity(state: State, { view }: Machine): Severity {
+  return state.link.phase === "open" ? view.severity : "offline";
+}
+
+function oldPose(state: State, machine: Machine): boolean {
+  // The site calls a pose stale at half a second; the page only steps in when the site says nothing more.
+  return (poseAge_s(state, machine) ?? 0) > 4 * POSE_FRESH_S;
+}

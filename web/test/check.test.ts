@@ -1,0 +1,69 @@
+import { describe, expect, it } from "vitest";
+
+import { checkLiveMessage, checkSessions } from "../src/api/check";
+import { delta, machineView, poseView, snapshot } from "./views";
+
+/** As it arrives: through JSON. */
+const arrive = (message: unknown) => checkLiveMessage(JSON.parse(JSON.stringify(message)), "message");
+
+describe("messages on arrival", () => {
+  it("come through whole when they are right", () => {
+    expect(arrive(snapshot([machineView()]))).toEqual(snapshot([machineView()]));
+    expect(arrive(delta(7, [machineView({ pose: null, health: null })]))).toEqual(
+      delta(7, [machineView({ pose: null, health: null })]),
+    );
+  });
+
+  it("may hold fields from a newer site", () => {
+    expect(arrive({ ...delta(1, []), novelty: 3 })).toEqual(delta(1, []));
+  });
+
+  it("are refused with the path of the wrong field", () => {
+    const broken = machineView({ pose: { ...poseView(), position_m: [1, 2] as never } });
+    expect(() => arrive(delta(1, [machineView(), broken]))).toThrow(
+      "message.machines[1].pose.position_m: expected three numbers, found [1,2]",
+    );
+  });
+
+  it("are refused when a number is missing or not finite", () => {
+    expect(() => arrive(delta(1, [machineView({ pose: poseView({ age_s: Number.NaN }) })]))).toThrow(
+      "pose.age_s: expected a number, found null",
+    );
+    expect(() => arrive({ type: "delta", machines: [] })).toThrow(
+      "message.seq: expected a number, found nothing",
+    );
+  });
+
+  it("are refused when a word is not one of those agreed", () => {
+    expect(() => arrive(delta(1, [machineView({ severity: "splendid" as never })]))).toThrow(
+      "severity: expected one of good, warning, bad, offline",
+    );
+    expect(() => arrive({ type: "gossip" })).toThrow('message.type: expected "snapshot", "delta" or "error"');
+    expect(() => arrive([])).toThrow("message: expected an object");
+  });
+
+  it("are refused when a time cannot be read", () => {
+    expect(() => arrive({ ...delta(1, []), time: "yesterday" })).toThrow(
+      "message.time: expected an RFC 3339 time",
+    );
+  });
+});
+
+describe("the list of recordings", () => {
+  it("is checked as well", () => {
+    const session = {
+      id: "s",
+      state: "recording",
+      started: "2026-11-23T05:00:00Z",
+      ended: null,
+      bytes: 12,
+      messages: 3,
+      machines: ["a"],
+      files: 1,
+    };
+    expect(checkSessions({ sessions: [session] })).toEqual([session]);
+    expect(() => checkSessions({ sessions: [{ ...session, state: "lost" }] })).toThrow(
+      "sessions.sessions[0].state",
+    );
+  });
+});
