@@ -53,8 +53,10 @@ function bench() {
   const fire = async () => {
     for (const [timer, { callback }] of [...timers]) {
       timers.delete(timer);
-      await callback();
+      callback();
     }
+    // The site's answer is a promise.
+    await new Promise((resolve) => setTimeout(resolve, 0));
   };
   live.start();
   const socket = () => {
@@ -132,11 +134,26 @@ describe("the live connection", () => {
     const { socket, log, fire, silence } = bench();
     socket().say(snapshot([]));
     await fire();
+    await fire();
     expect(log).toEqual(["snapshot"]);
     silence();
     await fire();
+    expect(log).toEqual(["snapshot"]);
+    await fire();
     expect(log).toEqual(["snapshot", "lost 250"]);
     expect(socket().closed).toBe(true);
+  });
+});
+
+describe("a page that was busy itself", () => {
+  it("does not take its own silence for the site's", async () => {
+    const { socket, log, fire, silence } = bench();
+    socket().say(snapshot([]));
+    silence();
+    await fire();
+    socket().say(delta(1, []));
+    await fire();
+    expect(log).toEqual(["snapshot", "delta 1"]);
   });
 });
 

@@ -41,6 +41,8 @@ const FIRST_PAUSE_MS = 250;
 const LONGEST_PAUSE_MS = 5_000;
 /** The site sends a delta at least once a second. */
 const SILENCE_MS = 3_000;
+/** A page that was busy itself finds the messages of that time in this. */
+const GRACE_MS = 250;
 
 /** Pause before the next try after `failures` in a row: doubled each time, and spread, so that pages do not come at once. */
 export function pauseAfter_ms(failures: number, random: number): number {
@@ -111,13 +113,17 @@ export class Live {
 
   private watchSilence(socket: WebSocketLike): void {
     if (this.silenceTimer !== null) this.surroundings.clearTimer(this.silenceTimer);
-    this.silenceTimer = this.surroundings.setTimer(async () => {
-      const answers = await this.surroundings.siteAnswers();
-      if (socket !== this.socket) return;
-      // It may be busy; without a snapshot, though, there is nothing to wait for.
-      if (answers && this.lastSeq !== null) this.watchSilence(socket);
-      else this.lose();
+    this.silenceTimer = this.surroundings.setTimer(() => {
+      this.silenceTimer = this.surroundings.setTimer(() => void this.askSite(socket), GRACE_MS);
     }, SILENCE_MS);
+  }
+
+  private async askSite(socket: WebSocketLike): Promise<void> {
+    const answers = await this.surroundings.siteAnswers();
+    if (socket !== this.socket) return;
+    // It may be busy; without a snapshot, though, there is nothing to wait for.
+    if (answers && this.lastSeq !== null) this.watchSilence(socket);
+    else this.lose();
   }
 
   private lose(): void {
