@@ -16,7 +16,8 @@ use holdfast::time::{Span, Stamp};
 /// One machine of the construction scenario up to `seconds`, and its options.
 fn construction(seconds: f64) -> (Vec<Arrival>, Options) {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let scenario = Scenario::load(&root.join("config/scenarios/construction.toml")).expect("a valid scenario");
+    let scenario =
+        Scenario::load(&root.join("config/scenarios/construction.toml")).expect("a valid scenario");
     let machine: config::Machine =
         config::load(&root.join("config/machines/simulated-roof.toml")).expect("a valid machine file");
     let end = Stamp::from_seconds(seconds);

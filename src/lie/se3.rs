@@ -24,13 +24,13 @@ impl Se3 {
         Self::new(So3::identity(), Vec3::zeros())
     }
 
-    /// Exponential map of (rotation, translation) ([S] eq. 172).
+    /// Exponential map of (rotation, translation) (\[S\] eq. 172).
     pub fn exp(tangent: &Vec6) -> Self {
         let (phi, rho) = split(tangent);
         Self::new(So3::exp(&phi), So3::left_jacobian(&phi) * rho)
     }
 
-    /// Tangent (rotation, translation) with `exp(log(x)) == x` ([S] eq. 173).
+    /// Tangent (rotation, translation) with `exp(log(x)) == x` (\[S\] eq. 173).
     pub fn log(&self) -> Vec6 {
         let phi = self.rotation.log();
         let rho = So3::right_jacobian_inverse(&phi).transpose() * self.translation;
@@ -53,7 +53,7 @@ impl Se3 {
         (origin.inverse() * *self).log()
     }
 
-    /// Adjoint: `x * exp(d) == exp(Ad(x) d) * x` ([S] eq. 175, rotation first).
+    /// Adjoint: `x * exp(d) == exp(Ad(x) d) * x` (\[S\] eq. 175, rotation first).
     pub fn adjoint(&self) -> Mat6 {
         let rotation = self.rotation.matrix();
         let mut adjoint = Mat6::zeros();
@@ -63,7 +63,7 @@ impl Se3 {
         adjoint
     }
 
-    /// Inverse of the right Jacobian: `log(x * exp(d)) ≈ log(x) + Jr⁻¹(log x) d` ([S] eqs. 179 to 181).
+    /// Inverse of the right Jacobian: `log(x * exp(d)) ≈ log(x) + Jr⁻¹(log x) d` (\[S\] eqs. 179 to 181).
     pub fn right_jacobian_inverse(tangent: &Vec6) -> Mat6 {
         let (phi, rho) = split(tangent);
         let inverse = So3::right_jacobian_inverse(&phi);
@@ -84,7 +84,7 @@ fn join(phi: &Vec3, rho: &Vec3) -> Vec6 {
     Vec6::new(phi.x, phi.y, phi.z, rho.x, rho.y, rho.z)
 }
 
-/// The block Q of the left Jacobian of SE(3) ([S] eq. 180; Barfoot, State Estimation for Robotics, eq. 7.86b).
+/// The block Q of the left Jacobian of SE(3) (\[S\] eq. 180; Barfoot, State Estimation for Robotics, eq. 7.86b).
 fn coupling_block(phi: &Vec3, rho: &Vec3) -> Mat3 {
     let angle_squared = phi.norm_squared();
     let (p, r) = (hat(phi), hat(rho));

@@ -18,7 +18,7 @@ pub struct So3 {
     quaternion: UnitQuaternion<f64>,
 }
 
-/// The skew-symmetric matrix with `hat(a) * b = a × b` ([S] eq. 9).
+/// The skew-symmetric matrix with `hat(a) * b = a × b` (\[S\] eq. 9).
 pub fn hat(v: &Vec3) -> Mat3 {
     Mat3::new(0.0, -v.z, v.y, v.z, 0.0, -v.x, -v.y, v.x, 0.0)
 }
@@ -79,7 +79,7 @@ impl So3 {
         Self { quaternion }
     }
 
-    /// Exponential map of a rotation vector (rad) ([S] eq. 132).
+    /// Exponential map of a rotation vector (rad) (\[S\] eq. 132).
     pub fn exp(phi: &Vec3) -> Self {
         let angle_squared = phi.norm_squared();
         let (real, imaginary) = if angle_squared < SMALL_ANGLE * SMALL_ANGLE {
@@ -93,7 +93,7 @@ impl So3 {
         Self { quaternion: UnitQuaternion::new_unchecked(q) }
     }
 
-    /// Rotation vector (rad), at most π long ([S] eq. 133).
+    /// Rotation vector (rad), at most π long (\[S\] eq. 133).
     pub fn log(&self) -> Vec3 {
         let q = self.quaternion.quaternion();
         let sign = if q.w < 0.0 { -1.0 } else { 1.0 };
@@ -133,7 +133,7 @@ impl So3 {
         Self { quaternion: UnitQuaternion::new_normalize(*self.quaternion.quaternion()) }
     }
 
-    /// Right Jacobian: `exp(phi + d) ≈ exp(phi) * exp(Jr(phi) d)` ([S] eq. 143).
+    /// Right Jacobian: `exp(phi + d) ≈ exp(phi) * exp(Jr(phi) d)` (\[S\] eq. 143).
     pub fn right_jacobian(phi: &Vec3) -> Mat3 {
         let angle_squared = phi.norm_squared();
         let hat_phi = hat(phi);
@@ -147,7 +147,7 @@ impl So3 {
         Mat3::identity() - hat_phi * first + hat_phi * hat_phi * second
     }
 
-    /// Inverse of [`So3::right_jacobian`] ([S] eq. 144).
+    /// Inverse of [`So3::right_jacobian`] (\[S\] eq. 144).
     pub fn right_jacobian_inverse(phi: &Vec3) -> Mat3 {
         let angle_squared = phi.norm_squared();
         let hat_phi = hat(phi);

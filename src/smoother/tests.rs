@@ -355,8 +355,8 @@ fn predicted_covariance_agrees_with_sampling() {
     let mut sampled = StateMatrix::zeros();
     for _ in 0..RUNS {
         let mut tangent = StateVector::zeros();
-        for part in 0..5 {
-            tangent.fixed_rows_mut::<3>(3 * part).copy_from(&draw.vector(sigmas[part]));
+        for (part, sigma) in sigmas.iter().enumerate() {
+            tangent.fixed_rows_mut::<3>(3 * part).copy_from(&draw.vector(*sigma));
         }
         let end = steps.iter().fold(start.plus(&tangent), |state, step| {
             let noisy = Step {
