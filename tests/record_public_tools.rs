@@ -1,5 +1,9 @@
 //! Our recordings, read by the tools that other people use. Runs if the environment variable
-//! `HOLDFAST_PYTHON` names a Python that has `mcap`, `mcap-ros2-support` and `rosbags`; says so if not.
+//! `HOLDFAST_PYTHON` names a Python that has `mcap`, `mcap-ros2-support` and `rosbags`; says so if not, and fails
+//! where every test is required.
+
+#[path = "support/required.rs"]
+mod required;
 
 use std::path::PathBuf;
 use std::process::Command;
@@ -75,10 +79,8 @@ fn write_recording(path: &std::path::Path) {
 
 #[test]
 fn public_tools_read_what_we_record() {
-    let Some(python) = std::env::var_os("HOLDFAST_PYTHON") else {
-        eprintln!("not run: HOLDFAST_PYTHON names no Python with mcap, mcap-ros2-support and rosbags");
-        return;
-    };
+    let what = "a Python with mcap, mcap-ros2-support and rosbags";
+    let Some(python) = required::variable("HOLDFAST_PYTHON", what) else { return };
     let folder = std::env::temp_dir().join(format!("holdfast-public-tools-{}", std::process::id()));
     std::fs::create_dir_all(&folder).expect("folder");
     let recording = folder.join("s-0000.mcap");
