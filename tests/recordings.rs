@@ -79,7 +79,9 @@ fn car_with_one_antenna_is_followed_to_centimetres() {
     let settled: Vec<StampedPose> =
         world.iter().filter(|pose| pose.stamp.seconds_since(moving) >= SETTLE_S).copied().collect();
     println!("rtk_drive0708: moves at {moving} s, estimate from {began_s:.1} s after that");
-    tell("rtk_drive0708, all", &errors(&truth, &world));
+    let all = errors(&truth, &world);
+    tell("rtk_drive0708, all", &all);
+    assert!(all.position_m.rmse <= 0.04 && all.position_m.max <= 0.5, "{all:?}");
     let errors = errors(&truth, &settled);
     tell("rtk_drive0708, from 30 s of motion on", &errors);
     assert!(began_s < 5.0, "{began_s}");
