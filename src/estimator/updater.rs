@@ -10,10 +10,11 @@ use super::inbox::{Admission, Inbox};
 use super::initialization::{Initializer, Start};
 use super::monitor::Monitor;
 use super::options::Options;
+use super::standstill::{self, Standstill, TIE_EVERY, TIE_SIGMA};
 use super::{IMU_GAP_MAX, Solution};
 use crate::factors::{BetweenFactor, PositionFactor};
 use crate::frames::{Lidar, Pose, World};
-use crate::lie::Vec3;
+use crate::lie::{Se3, Vec3};
 use crate::sensors::{Arrival, GnssFix, LidarPose, Reading, Sensor};
 use crate::smoother::{Smoother, SmootherError, predicted_position_covariance};
 use crate::state::{Event, EventKind, GnssState, Health, Mode, NavState, Severity, row};
@@ -29,6 +30,8 @@ const NODE_EVERY: Span = Span::from_millis(500);
 const LIDAR_GAP_MAX: Span = Span::from_millis(1_100);
 /// A lidar increment that differs so much from the prediction is wrong: m, rad.
 const LIDAR_MISFIT_MAX: [f64; 2] = [0.5, 0.2];
+/// A chassis that the estimate moves so far between two ties does not stand: m, rad.
+const TIE_MISFIT_MAX: [f64; 2] = [0.02, 0.002];
 /// Without lidar for so long, the IMU is alone.
 const LIDAR_SILENCE: Span = Span::from_millis(1_500);
 /// What a wrong estimate may be off in rotation (rad) and velocity (m/s), beside position.
@@ -43,6 +46,7 @@ pub struct Updater {
     inbox: Inbox,
     phase: Phase,
     pending: VecDeque<Reading>,
+    standstill: Standstill,
     monitor: Monitor,
     now: Stamp,
 }
@@ -68,6 +72,7 @@ impl Updater {
             inbox: Inbox::default(),
             phase: Phase::Waiting(Box::new(initializer)),
             pending: VecDeque::new(),
+            standstill: Standstill::default(),
             monitor: Monitor::default(),
             now: Stamp::default(),
         }
@@ -110,7 +115,14 @@ impl Updater {
                 }
                 self.work_off_pending(sample.stamp)
             }
-            Reading::BaseImu(_) | Reading::CabinTurn(_) => None,
+            Reading::BaseImu(sample) => {
+                self.standstill.push_sample(sample);
+                None
+            }
+            Reading::CabinTurn(turn) => {
+                self.standstill.push_turn(turn);
+                None
+            }
             Reading::GnssLeft(_) | Reading::GnssRight(_) | Reading::LidarOdometry(_) => {
                 if let Phase::Waiting(initializer) = &mut self.phase {
                     return initializer.push(&reading).and_then(|start| self.begin(start));
@@ -302,6 +314,9 @@ impl Updater {
 
     /// Updates the smoother and makes a solution of its newest node.
     fn finish(&mut self, outcome: Result<bool, SmootherError>, stamp: Stamp) -> Option<Box<Solution>> {
+        if outcome == Ok(true) {
+            self.tie_chassis();
+        }
         let Phase::Running(running) = &mut self.phase else { return None };
         let updated = match outcome {
             Ok(false) => return None,
@@ -330,6 +345,42 @@ impl Updater {
         let mode = self.mode(trusted, stamp);
         self.monitor.note_update(newest, &state, &covariance, mode);
         Some(Box::new(Solution { stamp: newest, state, covariance, mode, restart }))
+    }
+
+    /// Ties two nodes of one standstill of the chassis, about once a second.
+    fn tie_chassis(&mut self) {
+        let Phase::Running(running) = &mut self.phase else { return };
+        let Some((since, until)) = self.standstill.certain() else { return };
+        let smoother = &mut running.smoother;
+        let oldest = smoother.oldest_stamp().unwrap_or(since);
+        let from = self.standstill.tied.filter(|tied| *tied >= oldest).or_else(|| smoother.node_after(since));
+        let (Some(from), Some(to)) = (from, smoother.node_before(until)) else { return };
+        if to - from < TIE_EVERY {
+            return;
+        }
+        let turns = (self.standstill.turn_at(from), self.standstill.turn_at(to));
+        let (Some((from_angle, _)), Some((to_angle, _))) = turns else { return };
+        let [at_from, at_to] =
+            [from_angle, to_angle].map(|angle| standstill::imu_from_base(&self.options, angle));
+        let (Some(state_from), Some(state_to), Some(sample)) =
+            (smoother.state_at(from), smoother.state_at(to), smoother.samples().at(to))
+        else {
+            return;
+        };
+        let measured = *(at_from * at_to.inverse()).motion();
+        let predicted = *(state_from.world_from_imu().inverse() * state_to.world_from_imu()).motion();
+        let misfit = measured.inverse() * predicted;
+        let stands = standstill::stands(&state_to, &(sample.angular_rate - state_to.gyro_bias), &at_to)
+            && misfit.translation.norm() < TIE_MISFIT_MAX[0]
+            && misfit.rotation.log().norm() < TIE_MISFIT_MAX[1];
+        if !stands {
+            self.standstill.end();
+            return;
+        }
+        let factor = BetweenFactor { measured, imu_from_sensor: Se3::identity(), sigma: TIE_SIGMA };
+        if smoother.add_between(from, to, factor).is_ok() {
+            self.standstill.tied = Some(to);
+        }
     }
 
     fn mode(&self, gnss_trusted: bool, now: Stamp) -> Mode {
@@ -371,6 +422,7 @@ impl Updater {
         let was_running = matches!(self.phase, Phase::Running(_));
         self.phase = Phase::Waiting(Box::new(Initializer::new(self.options.clone())));
         self.pending.clear();
+        self.standstill = Standstill::default();
         if was_running {
             self.monitor.note_restart(self.now, reason);
         }
@@ -485,8 +537,11 @@ fn tie_lidar(
     }
     // From the stamps of the poses to those of the nodes, by the motion in between.
     let measured = (at_earlier.inverse() * at_from) * seen * (at_to.inverse() * at_later);
-    let factor =
-        BetweenFactor { measured, imu_from_lidar: options.imu_from_lidar, sigma: options.lidar_sigma };
+    let factor = BetweenFactor {
+        measured: *measured.motion(),
+        imu_from_sensor: *options.imu_from_lidar.motion(),
+        sigma: options.lidar_sigma,
+    };
     smoother.add_between(earlier, later, factor)?;
     Ok(Ok(()))
 }
