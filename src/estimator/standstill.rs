@@ -6,6 +6,9 @@
 //! imu_i_from_imu_j = X(θ_i) X(θ_j)⁻¹ with X(θ) = `imu_from_base` at the encoder's angle θ. An offset of the
 //! encoder cancels, its noise does not add up from tie to tie, and during an outage neither position nor heading
 //! drifts while the chassis stands.
+//!
+//! A machine without chassis IMU is watched by its cabin IMU, which stands only if all of it does: then X = 1, and
+//! the ties are what others call zero-velocity updates, without the drift that those leave.
 
 use std::collections::VecDeque;
 
@@ -36,6 +39,8 @@ const REFERENCE_FOLLOWS_S: f64 = 20.0;
 const CERTAIN_AFTER: Span = Span::from_millis(400);
 /// The estimate's chassis moves slower than this at rest, m/s.
 const SPEED_MAX: f64 = 0.04;
+/// Between encoder readings further apart, nobody knows the turn, s.
+const READINGS_APART_MAX_S: f64 = 0.25;
 /// Encoder readings are kept so long.
 const TURNS_KEPT: Span = Span::from_millis(6_000);
 /// Between two ties.
@@ -43,9 +48,33 @@ pub(super) const TIE_EVERY: Span = Span::from_millis(1_000);
 /// One sigma of a tie: rad (the encoder's steps and play), m (rocking of the chassis).
 pub(super) const TIE_SIGMA: [f64; 2] = [4.0e-4, 1.0e-3];
 
+/// How still a machine's IMU is at rest.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Stillness {
+    /// Blocks' means differ by so little: rad/s, m/s².
+    wobble: [f64; 2],
+    /// m/s.
+    speed_gained_max: f64,
+}
+
+impl Stillness {
+    /// For an IMU of these white-noise densities (rad/s/√Hz, m/s²/√Hz).
+    pub fn of(gyroscope_density: f64, accelerometer_density: f64) -> Self {
+        let block_root_s = (WINDOW.as_seconds() / BLOCKS as f64).sqrt();
+        Self {
+            wobble: [
+                WOBBLE[0] + 4.0 * gyroscope_density / block_root_s,
+                WOBBLE[1] + 4.0 * accelerometer_density / block_root_s,
+            ],
+            speed_gained_max: SPEED_GAINED_MAX + 4.0 * accelerometer_density * (0.5 * SPEED_FORGETS_S).sqrt(),
+        }
+    }
+}
+
 /// Watches the chassis.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Standstill {
+    stillness: Stillness,
     samples: VecDeque<ImuSample>,
     pushed: u64,
     /// The chassis has been quiet since and until.
@@ -68,7 +97,7 @@ struct Speed {
 
 impl Speed {
     /// Follows a sample; whether the chassis can still be at rest.
-    fn follow(&mut self, sample: &ImuSample) -> bool {
+    fn follow(&mut self, sample: &ImuSample, speed_gained_max: f64) -> bool {
         let dt = sample.stamp.seconds_since(self.stamp);
         self.stamp = sample.stamp;
         let off = sample.specific_force - self.reference;
@@ -79,11 +108,23 @@ impl Speed {
         }
         self.gained += off * dt - self.gained * (dt / SPEED_FORGETS_S);
         self.reference += off * (dt / REFERENCE_FOLLOWS_S);
-        self.gained.norm() < SPEED_GAINED_MAX
+        self.gained.norm() < speed_gained_max
     }
 }
 
 impl Standstill {
+    pub fn new(stillness: Stillness) -> Self {
+        Self {
+            stillness,
+            samples: VecDeque::new(),
+            pushed: 0,
+            quiet: None,
+            speed: None,
+            turns: VecDeque::new(),
+            tied: None,
+        }
+    }
+
     pub fn push_turn(&mut self, turn: CabinTurn) {
         self.turns.push_back(turn);
         while self.turns.front().is_some_and(|oldest| turn.stamp - oldest.stamp > TURNS_KEPT) {
@@ -100,7 +141,8 @@ impl Standstill {
         while self.samples.front().is_some_and(|oldest| sample.stamp - oldest.stamp > WINDOW) {
             self.samples.pop_front();
         }
-        if self.speed.as_mut().is_some_and(|speed| !speed.follow(&sample)) {
+        let limit = self.stillness.speed_gained_max;
+        if self.speed.as_mut().is_some_and(|speed| !speed.follow(&sample, limit)) {
             self.end();
         }
         self.pushed += 1;
@@ -152,9 +194,10 @@ impl Standstill {
         });
         let rate = means.iter().map(|(rate, _)| rate).sum::<Vec3>() / BLOCKS as f64;
         let force = means.iter().map(|(_, force)| force).sum::<Vec3>() / BLOCKS as f64;
+        let wobble = self.stillness.wobble;
         rate.norm() < RATE_MAX
             && means.iter().all(|(block_rate, block_force)| {
-                (block_rate - rate).amax() < WOBBLE[0] && (block_force - force).amax() < WOBBLE[1]
+                (block_rate - rate).amax() < wobble[0] && (block_force - force).amax() < wobble[1]
             })
     }
 
@@ -168,20 +211,13 @@ impl Standstill {
         (until > since).then_some((since, until))
     }
 
-    /// Cabin turn and its rate (rad, rad/s) at a stamp between two readings of the encoder.
-    pub fn turn_at(&self, stamp: Stamp) -> Option<(f64, f64)> {
+    /// Cabin turn (rad) at a stamp between two readings of the encoder.
+    pub fn turn_at(&self, stamp: Stamp) -> Option<f64> {
         let after = self.turns.partition_point(|turn| turn.stamp < stamp);
         let (left, right) = (self.turns.get(after.checked_sub(1)?)?, self.turns.get(after)?);
         let span = right.stamp.seconds_since(left.stamp);
-        if span > 0.25 {
-            return None;
-        }
         let weight = stamp.seconds_since(left.stamp) / span;
-        // Over a few readings, since the encoder's steps would look like a rate between two.
-        let early = self.turns.get(after.saturating_sub(6))?;
-        let late = self.turns.get((after + 5).min(self.turns.len() - 1))?;
-        let rate = (late.angle_rad - early.angle_rad) / late.stamp.seconds_since(early.stamp);
-        Some((left.angle_rad + weight * (right.angle_rad - left.angle_rad), rate))
+        (span <= READINGS_APART_MAX_S).then(|| left.angle_rad + weight * (right.angle_rad - left.angle_rad))
     }
 }
 
@@ -204,7 +240,7 @@ mod tests {
 
     /// A chassis IMU with the engine running, tilted, biased; `speed` is the chassis' own over time.
     fn run(seconds: f64, speed: impl Fn(f64) -> f64) -> Vec<(f64, bool)> {
-        let mut standstill = Standstill::default();
+        let mut standstill = Standstill::new(Stillness::of(1.6e-4, 1.1e-3));
         (0..(seconds * 100.0) as i64)
             .map(|index| {
                 let t = index as f64 * 0.01;
@@ -232,19 +268,19 @@ mod tests {
         let speed = |t: f64| 0.05 * ((t - 8.0) / 2.0).clamp(0.0, 1.0);
         let found = run(12.0, speed);
         let noticed = found.iter().find(|(t, standing)| *t > 8.0 && !standing).expect("noticed").0;
-        // Ties end 0.4 s before: up to there it has gone less than 5 mm.
-        assert!(noticed < 9.1, "{noticed}");
+        // Ties end 0.4 s before: up to there it has gone less than 1 cm.
+        assert!(noticed < 9.3, "{noticed}");
     }
 
     #[test]
     fn turn_is_interpolated_between_readings_only() {
-        let mut standstill = Standstill::default();
+        let mut standstill = Standstill::new(Stillness::of(1.6e-4, 1.1e-3));
         for index in 0..20_i32 {
             let stamp = Stamp::from_nanos(i64::from(index) * 10_000_000);
             standstill.push_turn(CabinTurn { stamp, angle_rad: 0.5 * f64::from(index) * 0.01 });
         }
-        let (angle, rate) = standstill.turn_at(Stamp::from_nanos(104_000_000)).expect("between readings");
-        assert!((angle - 0.052).abs() < 1e-12 && (rate - 0.5).abs() < 1e-9);
+        let angle = standstill.turn_at(Stamp::from_nanos(104_000_000)).expect("between readings");
+        assert!((angle - 0.052).abs() < 1e-12);
         assert!(standstill.turn_at(Stamp::from_nanos(191_000_000)).is_none());
     }
 }

@@ -10,7 +10,7 @@ use super::inbox::{Admission, Inbox};
 use super::initialization::{Initializer, Start};
 use super::monitor::Monitor;
 use super::options::Options;
-use super::standstill::{self, Standstill, TIE_EVERY, TIE_SIGMA};
+use super::standstill::{self, Standstill, Stillness, TIE_EVERY, TIE_SIGMA};
 use super::{IMU_GAP_MAX, Solution};
 use crate::factors::{BetweenFactor, PositionFactor};
 use crate::frames::{Lidar, Pose, World};
@@ -61,18 +61,20 @@ struct Running {
     smoother: Smoother,
     gate: Gate,
     last_lidar: Option<LidarPose>,
+    last_left: Option<GnssFix>,
     restart: bool,
 }
 
 impl Updater {
     pub(super) fn new(options: Options) -> Self {
         let initializer = Initializer::new(options.clone());
+        let standstill = standstill_of(&options);
         Self {
             options,
             inbox: Inbox::default(),
             phase: Phase::Waiting(Box::new(initializer)),
             pending: VecDeque::new(),
-            standstill: Standstill::default(),
+            standstill,
             monitor: Monitor::default(),
             now: Stamp::default(),
         }
@@ -105,6 +107,9 @@ impl Updater {
                 {
                     let gap_s = sample.stamp.seconds_since(previous);
                     self.begin_anew(&format!("the cabin IMU was silent for {gap_s:.2} s"));
+                }
+                if self.inbox.newest(Sensor::BaseImu).is_none() {
+                    self.standstill.push_sample(sample);
                 }
                 match &mut self.phase {
                     Phase::Running(running) => running.smoother.push_sample(sample),
@@ -187,6 +192,7 @@ impl Updater {
                 return None;
             }
         };
+        running.last_left = Some(*fix);
         let before = running.gate.state();
         let judgement = running.gate.judge(candidate);
         let (after, used) = (running.gate.state(), judgement.used);
@@ -226,7 +232,8 @@ impl Updater {
             }
         };
         let ratio = running.gate.test_ratio(&candidate);
-        let refusal = running.gate.sigma_refusal(&candidate.sigma).or_else(|| {
+        let baseline = running.last_left.and_then(|left| baseline_refusal(&self.options, &left, fix));
+        let refusal = running.gate.sigma_refusal(&candidate.sigma).or(baseline).or_else(|| {
             let off = (candidate.position - candidate.expected).norm();
             (ratio > 1.0)
                 .then(|| format!("is {off:.2} m from where it is expected, {ratio:.1} times the limit"))
@@ -359,7 +366,7 @@ impl Updater {
             return;
         }
         let turns = (self.standstill.turn_at(from), self.standstill.turn_at(to));
-        let (Some((from_angle, _)), Some((to_angle, _))) = turns else { return };
+        let (Some(from_angle), Some(to_angle)) = turns else { return };
         let [at_from, at_to] =
             [from_angle, to_angle].map(|angle| standstill::imu_from_base(&self.options, angle));
         let (Some(state_from), Some(state_to), Some(sample)) =
@@ -405,7 +412,13 @@ impl Updater {
         let mut gate = Gate::new(self.options.gate);
         gate.begin_trusted(start.stamp);
         self.monitor.note_start(start.stamp, start.heading_from, start.heading_sigma);
-        self.phase = Phase::Running(Box::new(Running { smoother, gate, last_lidar: None, restart: true }));
+        self.phase = Phase::Running(Box::new(Running {
+            smoother,
+            gate,
+            last_lidar: None,
+            last_left: None,
+            restart: true,
+        }));
         let mut solution = self.finish(Ok(true), start.stamp);
         for reading in &start.readings {
             let newest = self.process(reading);
@@ -422,7 +435,7 @@ impl Updater {
         let was_running = matches!(self.phase, Phase::Running(_));
         self.phase = Phase::Waiting(Box::new(Initializer::new(self.options.clone())));
         self.pending.clear();
-        self.standstill = Standstill::default();
+        self.standstill = standstill_of(&self.options);
         if was_running {
             self.monitor.note_restart(self.now, reason);
         }
@@ -484,8 +497,27 @@ impl Updater {
     }
 }
 
+fn standstill_of(options: &Options) -> Standstill {
+    let noise = &options.smoother.noise;
+    Standstill::new(Stillness::of(noise.gyroscope_noise_density, noise.accelerometer_noise_density))
+}
+
 fn antenna(state: &NavState, lever_arm: &Vec3) -> Vec3 {
     state.position + state.rotation * *lever_arm
+}
+
+/// Why two antennas of one epoch contradict their known baseline, if they do.
+fn baseline_refusal(options: &Options, left: &GnssFix, right: &GnssFix) -> Option<String> {
+    let apart = right.stamp - left.stamp;
+    if apart.as_seconds().abs() > 0.005 {
+        return None;
+    }
+    let known_m = (options.antenna_right? - options.antenna_left).norm();
+    let seen_m = (options.site.to_enu(right.position) - options.site.to_enu(left.position)).norm();
+    let limit_m = 0.02 + 5.0 * libm::hypot(left.sigma_enu_m.norm(), right.sigma_enu_m.norm());
+    ((seen_m - known_m).abs() > limit_m).then(|| {
+        format!("antennas are {seen_m:.2} m apart, {known_m:.2} m are known, {limit_m:.2} m is the limit")
+    })
 }
 
 fn candidate(
