@@ -217,7 +217,7 @@ impl Standstill {
         let (left, right) = (self.turns.get(after.checked_sub(1)?)?, self.turns.get(after)?);
         let span = right.stamp.seconds_since(left.stamp);
         let weight = stamp.seconds_since(left.stamp) / span;
-        (span <= READINGS_APART_MAX_S).then(|| left.angle_rad + weight * (right.angle_rad - left.angle_rad))
+        (span <= READINGS_APART_MAX_S).then_some(left.angle_rad + weight * (right.angle_rad - left.angle_rad))
     }
 }
 
