@@ -28,6 +28,8 @@ const CONTRADICTION_MAX: Span = Span::from_millis(8_000);
 const WHITE_SIGMA_M: f64 = 0.02;
 /// Slow errors of fixes stay alike for about so long, s.
 const CORRELATION_S: f64 = 3.0;
+/// So many good fixes in a row are worth telling.
+const GOOD_TO_TELL: u32 = 3;
 /// So many bad fixes in a row are a loss.
 const BAD_IN_A_ROW: u32 = 3;
 /// Without fixes for so long, GNSS is silent.
@@ -200,6 +202,9 @@ impl Gate {
         }
         let limit = if self.trusted { 1.0 } else { RETURN_LIMIT / INNOVATION_LIMIT };
         if test_ratio <= limit {
+            // One that agrees by chance does not end a contradiction.
+            let agreed = 2 * (self.good_in_row + 1) >= self.options.fixes_to_return;
+            self.contradicting_since = if agreed { None } else { contradicting_since };
             return None;
         }
         if !self.trusted {
@@ -252,7 +257,9 @@ impl Gate {
             return None;
         }
         self.good_in_row += 1;
-        self.state = GnssState::Recovering;
+        if self.good_in_row >= GOOD_TO_TELL.min(self.options.fixes_to_return) {
+            self.state = GnssState::Recovering;
+        }
         if self.good_in_row < self.options.fixes_to_return {
             return None;
         }

@@ -13,6 +13,7 @@ mod initialization;
 mod monitor;
 mod options;
 mod predictor;
+mod standstill;
 mod updater;
 
 pub use gate::Options as GateOptions;

@@ -10,10 +10,11 @@ use super::inbox::{Admission, Inbox};
 use super::initialization::{Initializer, Start};
 use super::monitor::Monitor;
 use super::options::Options;
+use super::standstill::{self, Standstill, Stillness, TIE_EVERY, TIE_SIGMA};
 use super::{IMU_GAP_MAX, Solution};
 use crate::factors::{BetweenFactor, PositionFactor};
 use crate::frames::{Lidar, Pose, World};
-use crate::lie::Vec3;
+use crate::lie::{Se3, Vec3};
 use crate::sensors::{Arrival, GnssFix, LidarPose, Reading, Sensor};
 use crate::smoother::{Smoother, SmootherError, predicted_position_covariance};
 use crate::state::{Event, EventKind, GnssState, Health, Mode, NavState, Severity, row};
@@ -29,6 +30,8 @@ const NODE_EVERY: Span = Span::from_millis(500);
 const LIDAR_GAP_MAX: Span = Span::from_millis(1_100);
 /// A lidar increment that differs so much from the prediction is wrong: m, rad.
 const LIDAR_MISFIT_MAX: [f64; 2] = [0.5, 0.2];
+/// A chassis that the estimate moves so far between two ties does not stand: m, rad.
+const TIE_MISFIT_MAX: [f64; 2] = [0.02, 0.002];
 /// Without lidar for so long, the IMU is alone.
 const LIDAR_SILENCE: Span = Span::from_millis(1_500);
 /// What a wrong estimate may be off in rotation (rad) and velocity (m/s), beside position.
@@ -43,6 +46,7 @@ pub struct Updater {
     inbox: Inbox,
     phase: Phase,
     pending: VecDeque<Reading>,
+    standstill: Standstill,
     monitor: Monitor,
     now: Stamp,
 }
@@ -57,17 +61,20 @@ struct Running {
     smoother: Smoother,
     gate: Gate,
     last_lidar: Option<LidarPose>,
+    last_left: Option<GnssFix>,
     restart: bool,
 }
 
 impl Updater {
     pub(super) fn new(options: Options) -> Self {
         let initializer = Initializer::new(options.clone());
+        let standstill = standstill_of(&options);
         Self {
             options,
             inbox: Inbox::default(),
             phase: Phase::Waiting(Box::new(initializer)),
             pending: VecDeque::new(),
+            standstill,
             monitor: Monitor::default(),
             now: Stamp::default(),
         }
@@ -101,6 +108,9 @@ impl Updater {
                     let gap_s = sample.stamp.seconds_since(previous);
                     self.begin_anew(&format!("the cabin IMU was silent for {gap_s:.2} s"));
                 }
+                if self.inbox.newest(Sensor::BaseImu).is_none() {
+                    self.standstill.push_sample(sample);
+                }
                 match &mut self.phase {
                     Phase::Running(running) => running.smoother.push_sample(sample),
                     Phase::Waiting(initializer) => {
@@ -110,7 +120,14 @@ impl Updater {
                 }
                 self.work_off_pending(sample.stamp)
             }
-            Reading::BaseImu(_) | Reading::CabinTurn(_) => None,
+            Reading::BaseImu(sample) => {
+                self.standstill.push_sample(sample);
+                None
+            }
+            Reading::CabinTurn(turn) => {
+                self.standstill.push_turn(turn);
+                None
+            }
             Reading::GnssLeft(_) | Reading::GnssRight(_) | Reading::LidarOdometry(_) => {
                 if let Phase::Waiting(initializer) = &mut self.phase {
                     return initializer.push(&reading).and_then(|start| self.begin(start));
@@ -175,6 +192,7 @@ impl Updater {
                 return None;
             }
         };
+        running.last_left = Some(*fix);
         let before = running.gate.state();
         let judgement = running.gate.judge(candidate);
         let (after, used) = (running.gate.state(), judgement.used);
@@ -214,7 +232,8 @@ impl Updater {
             }
         };
         let ratio = running.gate.test_ratio(&candidate);
-        let refusal = running.gate.sigma_refusal(&candidate.sigma).or_else(|| {
+        let baseline = running.last_left.and_then(|left| baseline_refusal(&self.options, &left, fix));
+        let refusal = running.gate.sigma_refusal(&candidate.sigma).or(baseline).or_else(|| {
             let off = (candidate.position - candidate.expected).norm();
             (ratio > 1.0)
                 .then(|| format!("is {off:.2} m from where it is expected, {ratio:.1} times the limit"))
@@ -302,6 +321,9 @@ impl Updater {
 
     /// Updates the smoother and makes a solution of its newest node.
     fn finish(&mut self, outcome: Result<bool, SmootherError>, stamp: Stamp) -> Option<Box<Solution>> {
+        if outcome == Ok(true) {
+            self.tie_chassis();
+        }
         let Phase::Running(running) = &mut self.phase else { return None };
         let updated = match outcome {
             Ok(false) => return None,
@@ -332,6 +354,42 @@ impl Updater {
         Some(Box::new(Solution { stamp: newest, state, covariance, mode, restart }))
     }
 
+    /// Ties two nodes of one standstill of the chassis, about once a second.
+    fn tie_chassis(&mut self) {
+        let Phase::Running(running) = &mut self.phase else { return };
+        let Some((since, until)) = self.standstill.certain() else { return };
+        let smoother = &mut running.smoother;
+        let oldest = smoother.oldest_stamp().unwrap_or(since);
+        let from = self.standstill.tied.filter(|tied| *tied >= oldest).or_else(|| smoother.node_after(since));
+        let (Some(from), Some(to)) = (from, smoother.node_before(until)) else { return };
+        if to - from < TIE_EVERY {
+            return;
+        }
+        let turns = (self.standstill.turn_at(from), self.standstill.turn_at(to));
+        let (Some(from_angle), Some(to_angle)) = turns else { return };
+        let [at_from, at_to] =
+            [from_angle, to_angle].map(|angle| standstill::imu_from_base(&self.options, angle));
+        let (Some(state_from), Some(state_to), Some(sample)) =
+            (smoother.state_at(from), smoother.state_at(to), smoother.samples().at(to))
+        else {
+            return;
+        };
+        let measured = *(at_from * at_to.inverse()).motion();
+        let predicted = *(state_from.world_from_imu().inverse() * state_to.world_from_imu()).motion();
+        let misfit = measured.inverse() * predicted;
+        let stands = standstill::stands(&state_to, &(sample.angular_rate - state_to.gyro_bias), &at_to)
+            && misfit.translation.norm() < TIE_MISFIT_MAX[0]
+            && misfit.rotation.log().norm() < TIE_MISFIT_MAX[1];
+        if !stands {
+            self.standstill.end();
+            return;
+        }
+        let factor = BetweenFactor { measured, imu_from_sensor: Se3::identity(), sigma: TIE_SIGMA };
+        if smoother.add_between(from, to, factor).is_ok() {
+            self.standstill.tied = Some(to);
+        }
+    }
+
     fn mode(&self, gnss_trusted: bool, now: Stamp) -> Mode {
         let lidar = self.inbox.newest(Sensor::LidarOdometry);
         if gnss_trusted {
@@ -354,7 +412,13 @@ impl Updater {
         let mut gate = Gate::new(self.options.gate);
         gate.begin_trusted(start.stamp);
         self.monitor.note_start(start.stamp, start.heading_from, start.heading_sigma);
-        self.phase = Phase::Running(Box::new(Running { smoother, gate, last_lidar: None, restart: true }));
+        self.phase = Phase::Running(Box::new(Running {
+            smoother,
+            gate,
+            last_lidar: None,
+            last_left: None,
+            restart: true,
+        }));
         let mut solution = self.finish(Ok(true), start.stamp);
         for reading in &start.readings {
             let newest = self.process(reading);
@@ -371,6 +435,7 @@ impl Updater {
         let was_running = matches!(self.phase, Phase::Running(_));
         self.phase = Phase::Waiting(Box::new(Initializer::new(self.options.clone())));
         self.pending.clear();
+        self.standstill = standstill_of(&self.options);
         if was_running {
             self.monitor.note_restart(self.now, reason);
         }
@@ -432,8 +497,27 @@ impl Updater {
     }
 }
 
+fn standstill_of(options: &Options) -> Standstill {
+    let noise = &options.smoother.noise;
+    Standstill::new(Stillness::of(noise.gyroscope_noise_density, noise.accelerometer_noise_density))
+}
+
 fn antenna(state: &NavState, lever_arm: &Vec3) -> Vec3 {
     state.position + state.rotation * *lever_arm
+}
+
+/// Why two antennas of one epoch contradict their known baseline, if they do.
+fn baseline_refusal(options: &Options, left: &GnssFix, right: &GnssFix) -> Option<String> {
+    let apart = right.stamp - left.stamp;
+    if apart.as_seconds().abs() > 0.005 {
+        return None;
+    }
+    let known_m = (options.antenna_right? - options.antenna_left).norm();
+    let seen_m = (options.site.to_enu(right.position) - options.site.to_enu(left.position)).norm();
+    let limit_m = 0.02 + 5.0 * libm::hypot(left.sigma_enu_m.norm(), right.sigma_enu_m.norm());
+    ((seen_m - known_m).abs() > limit_m).then(|| {
+        format!("antennas are {seen_m:.2} m apart, {known_m:.2} m are known, {limit_m:.2} m is the limit")
+    })
 }
 
 fn candidate(
@@ -485,8 +569,11 @@ fn tie_lidar(
     }
     // From the stamps of the poses to those of the nodes, by the motion in between.
     let measured = (at_earlier.inverse() * at_from) * seen * (at_to.inverse() * at_later);
-    let factor =
-        BetweenFactor { measured, imu_from_lidar: options.imu_from_lidar, sigma: options.lidar_sigma };
+    let factor = BetweenFactor {
+        measured: *measured.motion(),
+        imu_from_sensor: *options.imu_from_lidar.motion(),
+        sigma: options.lidar_sigma,
+    };
     smoother.add_between(earlier, later, factor)?;
     Ok(Ok(()))
 }

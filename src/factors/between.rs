@@ -1,21 +1,20 @@
-//! Relative pose of the lidar between two nodes.
+//! Relative pose of a sensor, or of the IMU itself, between two nodes.
 
 use nalgebra::SMatrix;
 
-use crate::frames::{Imu, Lidar, Pose};
 use crate::lie::{Mat6, Se3, Vec6};
 use crate::state::NavState;
 
-/// Lidar odometry measured how the lidar moved from node i to node j.
+/// How a sensor moved from node i to node j was measured: by lidar odometry, or by a chassis that stood still.
 ///
-/// r = Σ^(−½) Log(Z⁻¹ (T_i X)⁻¹ (T_j X)), with T = `world_from_imu`, X = `imu_from_lidar` and
-/// Z = `lidar_i_from_lidar_j` as measured; tangent of SE(3), rotation first (Nubert et al. 2022, eq. 11).
+/// r = Σ^(−½) Log(Z⁻¹ (T_i X)⁻¹ (T_j X)), with T = `world_from_imu`, X = `imu_from_sensor` and
+/// Z = `sensor_i_from_sensor_j` as measured; tangent of SE(3), rotation first (Nubert et al. 2022, eq. 11).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BetweenFactor {
-    /// Z.
-    pub measured: Pose<Lidar, Lidar>,
-    /// X.
-    pub imu_from_lidar: Pose<Imu, Lidar>,
+    /// Z, in the sensor's frame.
+    pub measured: Se3,
+    /// X; the identity if the motion is that of the IMU.
+    pub imu_from_sensor: Se3,
     /// One sigma of rotation (rad) and translation (m), each for all its axes.
     pub sigma: [f64; 2],
 }
@@ -43,9 +42,9 @@ impl BetweenFactor {
     pub fn linearize(&self, state_i: &NavState, state_j: &NavState) -> LinearBetween {
         let residual = self.error(state_i, state_j).log();
         let inverse_jacobian = Se3::right_jacobian_inverse(&residual);
-        let extrinsic = *self.imu_from_lidar.motion();
-        let imu_i_from_lidar_j = relative(state_i, state_j) * extrinsic;
-        let by_i = -inverse_jacobian * imu_i_from_lidar_j.inverse().adjoint();
+        let extrinsic = self.imu_from_sensor;
+        let imu_i_from_sensor_j = relative(state_i, state_j) * extrinsic;
+        let by_i = -inverse_jacobian * imu_i_from_sensor_j.inverse().adjoint();
         let by_j = inverse_jacobian * extrinsic.inverse().adjoint();
         LinearBetween {
             residual: self.whiten(&residual),
@@ -55,8 +54,8 @@ impl BetweenFactor {
     }
 
     fn error(&self, state_i: &NavState, state_j: &NavState) -> Se3 {
-        let extrinsic = *self.imu_from_lidar.motion();
-        self.measured.motion().inverse() * extrinsic.inverse() * relative(state_i, state_j) * extrinsic
+        let extrinsic = self.imu_from_sensor;
+        self.measured.inverse() * extrinsic.inverse() * relative(state_i, state_j) * extrinsic
     }
 
     fn whiten(&self, residual: &Vec6) -> Vec6 {
@@ -89,14 +88,8 @@ mod tests {
     #[test]
     fn jacobians_agree_with_differences() {
         let factor = BetweenFactor {
-            measured: Pose::assume(Se3::new(
-                So3::from_yaw_pitch_roll(0.4, 0.1, -0.2),
-                Vec3::new(1.0, 0.2, 0.1),
-            )),
-            imu_from_lidar: Pose::assume(Se3::new(
-                So3::from_yaw_pitch_roll(1.5, 0.2, 3.0),
-                Vec3::new(0.7, -0.6, 1.7),
-            )),
+            measured: Se3::new(So3::from_yaw_pitch_roll(0.4, 0.1, -0.2), Vec3::new(1.0, 0.2, 0.1)),
+            imu_from_sensor: Se3::new(So3::from_yaw_pitch_roll(1.5, 0.2, 3.0), Vec3::new(0.7, -0.6, 1.7)),
             sigma: [1e-3, 6e-3],
         };
         let states = differences::states();
@@ -113,12 +106,11 @@ mod tests {
     #[test]
     fn residual_vanishes_for_the_true_motion() {
         let states = differences::states();
-        let extrinsic =
-            Pose::assume(Se3::new(So3::from_yaw_pitch_roll(0.3, 0.2, 0.1), Vec3::new(1.0, 2.0, 3.0)));
-        let lidar = |state: &NavState| state.world_from_imu() * extrinsic;
+        let extrinsic = Se3::new(So3::from_yaw_pitch_roll(0.3, 0.2, 0.1), Vec3::new(1.0, 2.0, 3.0));
+        let lidar = |state: &NavState| *state.world_from_imu().motion() * extrinsic;
         let factor = BetweenFactor {
             measured: lidar(&states[0]).inverse() * lidar(&states[1]),
-            imu_from_lidar: extrinsic,
+            imu_from_sensor: extrinsic,
             sigma: [1.0, 1.0],
         };
         assert!(factor.residual(&states[0], &states[1]).norm() < 1e-13);

@@ -475,6 +475,18 @@ impl Smoother {
         self.nodes.back().map(|node| (node.stamp, node.estimate()))
     }
 
+    /// Stamp of the newest node that is not newer than `stamp`.
+    pub fn node_before(&self, stamp: Stamp) -> Option<Stamp> {
+        let after = self.nodes.partition_point(|node| node.stamp <= stamp);
+        Some(self.nodes[after.checked_sub(1)?].stamp)
+    }
+
+    /// Stamp of the oldest node that is not older than `stamp`.
+    pub fn node_after(&self, stamp: Stamp) -> Option<Stamp> {
+        let after = self.nodes.partition_point(|node| node.stamp < stamp);
+        Some(self.nodes.get(after)?.stamp)
+    }
+
     /// Stamp of the oldest node.
     pub fn oldest_stamp(&self) -> Option<Stamp> {
         self.nodes.front().map(|node| node.stamp)

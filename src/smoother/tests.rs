@@ -113,8 +113,8 @@ fn increment(truth: &[(ImuSample, NavState)], from: Stamp, to: Stamp, draw: &mut
     let (turn, shift) = (draw.vector(1e-3), draw.vector(6e-3));
     let error = Se3::new(So3::exp(&turn), shift);
     BetweenFactor {
-        measured: Pose::assume(*exact.motion() * error),
-        imu_from_lidar: imu_from_lidar(),
+        measured: *exact.motion() * error,
+        imu_from_sensor: *imu_from_lidar().motion(),
         sigma: [1e-3, 6e-3],
     }
 }

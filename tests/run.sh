@@ -1,0 +1,83 @@
+#!/usr/bin/env bash
+# Runs all tests: Rust, recordings with public tools, web, and the browser against the real demo.
+#
+#   bash tests/run.sh
+#
+# What is missing is installed where that needs no questions (root on Debian), else named. Python packages go
+# into a virtual environment under the target folder, web packages into web/node_modules.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+target=${CARGO_TARGET_DIR:-target}
+passed=0
+failed=()
+
+step() {
+    local name=$1
+    shift
+    printf '\n== %s\n' "$name"
+    local begun=$SECONDS
+    if "$@"; then
+        passed=$((passed + 1))
+        printf -- '-- %s: passed in %s s\n' "$name" "$((SECONDS - begun))"
+    else
+        failed+=("$name")
+        printf -- '-- %s: FAILED after %s s\n' "$name" "$((SECONDS - begun))"
+    fi
+}
+
+missing_packages() {
+    command -v cc >/dev/null || echo build-essential
+    python3 -c 'import venv, ensurepip' 2>/dev/null || echo python3-venv
+    [ -x "${CHROMIUM:-/usr/bin/chromium}" ] || echo chromium
+}
+
+prepare() {
+    if ! command -v cargo >/dev/null; then
+        echo "Rust is missing: install rustup (Debian: apt-get install rustup), then run this again." >&2
+        exit 2
+    fi
+    if ! node -e 'const [a, b] = process.versions.node.split(".").map(Number); process.exit(a > 20 || (a === 20 && b >= 19) ? 0 : 1)' 2>/dev/null; then
+        echo "Node 20.19 or newer with npm is missing: install it, then run this again." >&2
+        exit 2
+    fi
+    local packages
+    mapfile -t packages < <(missing_packages)
+    if [ "${#packages[@]}" -gt 0 ]; then
+        if [ "$(id -u)" -eq 0 ] && command -v apt-get >/dev/null; then
+            apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq "${packages[@]}" >/dev/null
+        else
+            echo "Missing: ${packages[*]}. Install them (sudo apt-get install ${packages[*]}), then run this again." >&2
+            exit 2
+        fi
+    fi
+}
+
+# Public readers of what we record; pinned, so that a new release of theirs does not fail our tests.
+public_tools() {
+    local environment=$target/public-tools
+    [ -x "$environment/bin/python" ] || python3 -m venv "$environment"
+    "$environment/bin/pip" install --quiet --disable-pip-version-check --requirement tests/record/requirements.txt
+    HOLDFAST_PYTHON=$(realpath --no-symlinks "$environment/bin/python")
+    export HOLDFAST_PYTHON
+}
+
+web() {
+    (cd web && { [ node_modules -nt package-lock.json ] || npm ci --no-audit --no-fund --silent; } && npm run --silent check)
+}
+
+browser() {
+    node web/e2e/run.mjs --holdfast "$target/release/holdfast" --screenshots "$target/screenshots"
+}
+
+prepare
+step "public tools" public_tools
+step "build" cargo build --release --locked
+step "rust" cargo test --release --locked --no-fail-fast
+step "web" web
+step "browser" browser
+
+printf '\n'
+for name in "${failed[@]}"; do printf 'failed: %s\n' "$name"; done
+printf '%s passed, %s failed\n' "$passed" "${#failed[@]}"
+[ "${#failed[@]}" -eq 0 ]
