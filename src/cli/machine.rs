@@ -7,7 +7,7 @@ use crate::config;
 use crate::machine::{self, Options, Source};
 use crate::simulate::Scenario;
 
-use super::logging;
+use super::{BadArguments, logging, must_exist};
 
 /// Run one excavator's peer: estimate its position and publish it to the site
 ///
@@ -58,19 +58,22 @@ fn options(arguments: Arguments) -> Result<Options, Box<dyn Error>> {
     let (mut machine, source) = match (scenario, config) {
         (Some(path), _) => {
             let scenario = Scenario::load(&path)?;
-            let index = choose(&scenario.machine_ids(), wanted.as_deref())?;
+            let index = choose(&scenario.machine_ids(), wanted.as_deref()).map_err(BadArguments)?;
             let machine = scenario.machines[index].clone();
             (machine, Source::Simulation { scenario: Box::new(scenario), index })
         }
         (None, Some(path)) => {
             let machine: config::Machine = config::load(&path)?;
             let source = match play {
-                Some(path) => Source::Play { path, recorded_machine: wanted },
+                Some(path) => {
+                    must_exist(&path)?;
+                    Source::Play { path, recorded_machine: wanted }
+                }
                 None => Source::Zenoh,
             };
             (machine, source)
         }
-        (None, None) => return Err("either --config or --scenario must be given".into()),
+        (None, None) => return Err(BadArguments("either --config or --scenario must be given".to_owned()).into()),
     };
     if !connect.is_empty() {
         machine.link.connect = connect;

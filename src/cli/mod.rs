@@ -22,6 +22,7 @@ mod simulate;
 mod site;
 
 use std::error::Error;
+use std::path::Path;
 use std::process::ExitCode;
 
 use clap::Parser;
@@ -61,6 +62,20 @@ pub enum Outcome {
     BadConfiguration,
 }
 
+/// Arguments that are well formed, but cannot be used: a file that is not there, a machine that is not in it.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+struct BadArguments(String);
+
+/// Refuses a path where there is nothing.
+fn must_exist(path: &Path) -> Result<(), BadArguments> {
+    match path.try_exists() {
+        Ok(true) => Ok(()),
+        Ok(false) => Err(BadArguments(format!("{}: there is no such file or folder", path.display()))),
+        Err(error) => Err(BadArguments(format!("{}: {error}", path.display()))),
+    }
+}
+
 /// Runs the command that the process was called with.
 pub fn main() -> ExitCode {
     let arguments = CommandLine::parse();
@@ -90,7 +105,7 @@ pub fn main() -> ExitCode {
 fn exit_code(error: &(dyn Error + 'static)) -> ExitCode {
     let mut cause = Some(error);
     while let Some(error) = cause {
-        if error.is::<ConfigError>() || error.is::<Violation>() {
+        if error.is::<ConfigError>() || error.is::<Violation>() || error.is::<BadArguments>() {
             return ExitCode::from(2);
         }
         cause = error.source();

@@ -12,6 +12,7 @@ mod gnss;
 mod jet;
 mod motion;
 mod path;
+mod recording;
 mod rigid;
 mod scenario;
 mod sensor;
@@ -24,6 +25,7 @@ mod tests;
 pub use rigid::RigidMotion;
 pub use scenario::{Action, GnssCondition, GnssConditionKind, Machine, Scenario, ScenarioFile};
 pub use specification::{CabinTurn, Gnss, Imu, LidarOdometry, Sensors};
+pub use recording::write_recording;
 pub use write::{Progress, write};
 
 use crate::config;
