@@ -73,7 +73,9 @@ fn options(arguments: Arguments) -> Result<Options, Box<dyn Error>> {
             };
             (machine, source)
         }
-        (None, None) => return Err(BadArguments("either --config or --scenario must be given".to_owned()).into()),
+        (None, None) => {
+            return Err(BadArguments("either --config or --scenario must be given".to_owned()).into());
+        }
     };
     if !connect.is_empty() {
         machine.link.connect = connect;

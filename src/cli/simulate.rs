@@ -39,7 +39,12 @@ pub fn run(arguments: Arguments) -> Result<(), Box<dyn Error>> {
         let written = simulate::write_recording(&scenario, &arguments.out, show);
         bar.finish_and_clear();
         let summary = written?;
-        println!("{}: {} readings of {}", arguments.out.display(), summary.messages, summary.machines.join(", "));
+        println!(
+            "{}: {} readings of {}",
+            arguments.out.display(),
+            summary.messages,
+            summary.machines.join(", ")
+        );
         return Ok(());
     }
     let written = simulate::write(&scenario, &arguments.out, show);

@@ -126,7 +126,8 @@ impl Machine {
     /// A pose older than this is old: by the machine's own pace if that is slow.
     fn pose_age_max(&self) -> Span {
         let usual = self.pose_interval.usual().unwrap_or_default();
-        Span::from_nanos(usual.as_nanos().saturating_mul(POSES_MISSING_MAX)).clamp(POSE_AGE_MAX, POSE_AGE_LIMIT)
+        Span::from_nanos(usual.as_nanos().saturating_mul(POSES_MISSING_MAX))
+            .clamp(POSE_AGE_MAX, POSE_AGE_LIMIT)
     }
 
     pub fn refuse(&mut self) {

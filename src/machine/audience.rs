@@ -22,10 +22,14 @@ pub(super) struct Audience {
 
 impl Audience {
     /// Looks for subscribers of the machine's pose from now on: a site subscribes to all topics at once.
-    pub(super) async fn watch(session: &zenoh::Session, machine: &config::Machine) -> Result<Self, LinkError> {
+    pub(super) async fn watch(
+        session: &zenoh::Session,
+        machine: &config::Machine,
+    ) -> Result<Self, LinkError> {
         let key = topic_key(&machine.link.site, &machine.id, Topic::Pose);
         let publisher = session.declare_publisher(key.clone()).await;
-        let publisher = publisher.map_err(|error| LinkError::Declare { key, reason: link::reason(&error) })?;
+        let publisher =
+            publisher.map_err(|error| LinkError::Declare { key, reason: link::reason(&error) })?;
         let (sender, present) = watch::channel(false);
         let connect = machine.link.connect.join(", ");
         let look = async move {

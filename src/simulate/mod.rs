@@ -22,10 +22,10 @@ mod write;
 #[cfg(test)]
 mod tests;
 
+pub use recording::write_recording;
 pub use rigid::RigidMotion;
 pub use scenario::{Action, GnssCondition, GnssConditionKind, Machine, Scenario, ScenarioFile};
 pub use specification::{CabinTurn, Gnss, Imu, LidarOdometry, Sensors};
-pub use recording::write_recording;
 pub use write::{Progress, write};
 
 use crate::config;

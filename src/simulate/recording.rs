@@ -84,8 +84,7 @@ mod tests {
     #[test]
     fn recording_holds_the_readings_of_the_log_folders_bit_for_bit() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-        let mut scenario =
-            Scenario::load(&root.join("config/scenarios/construction.toml")).expect("valid");
+        let mut scenario = Scenario::load(&root.join("config/scenarios/construction.toml")).expect("valid");
         scenario.file.duration_s = 12.0;
         let folder = std::env::temp_dir().join(format!("holdfast-simulated-{}", std::process::id()));
         write(&scenario, &folder, |_| ()).expect("log folders");

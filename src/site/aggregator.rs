@@ -146,7 +146,9 @@ fn on_publication(fleet: &mut Fleet, inbound: &Inbound) -> Result<(), WireError>
         Receipt::Accepted => {}
         Receipt::Rival => {
             let boot = attachment.boot;
-            tracing::warn!("two machines have the id {machine}: what the one of boot {boot} says is not used");
+            tracing::warn!(
+                "two machines have the id {machine}: what the one of boot {boot} says is not used"
+            );
             return Ok(());
         }
         Receipt::OldBoot | Receipt::TooManyMachines => return Ok(()),

@@ -58,6 +58,8 @@ export class PlanPainter {
   private moving = false;
   /** How many machines the last fit was for. */
   private fitted = 0;
+  /** What was drawn last: nothing is drawn again while all of it stays. */
+  private drawn: readonly unknown[] = [];
   private covered: { extent: Extent; step_m: number } | null = null;
 
   constructor(
@@ -125,23 +127,33 @@ export class PlanPainter {
   private paint(): void {
     const state = this.desk.store.state.value;
     this.moving = true;
-    this.moveCamera(state);
+    const moved = this.moveCamera(state);
     this.moving = false;
     const selected = this.desk.choices.selected.value;
     const metresPerPixel = this.view.metresPerPixel();
+    const stale = [...state.machines.values()].map((machine) => isStale(state, machine)).join();
+    const wanted = [state.machines, state.link.phase, selected, this.palette, metresPerPixel, stale];
+    // Time passes more often than anything changes.
+    if (!moved && wanted.every((value, index) => value === this.drawn[index])) return;
+    this.drawn = wanted;
     this.view.draw(buildShapes(state, { palette: this.palette, metresPerPixel, selected }));
     this.layFurniture(state);
   }
 
-  private moveCamera(state: State): void {
+  /** Whether the camera was moved. */
+  private moveCamera(state: State): boolean {
     const { selected, following } = this.desk.choices;
     const pose = state.machines.get(selected.value ?? "")?.view.pose ?? null;
     if (following.value && pose !== null) {
       this.keepAllInSight = false;
       this.view.centreOn(axisOf(pose));
-    } else if (this.keepAllInSight && !this.allInSight(state)) {
-      this.fitNow(state);
+      return true;
     }
+    if (this.keepAllInSight && !this.allInSight(state)) {
+      this.fitNow(state);
+      return true;
+    }
+    return false;
   }
 
   private allInSight(state: State): boolean {
