@@ -34,7 +34,7 @@ pub struct Arguments {
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = speed)]
     pub speed: f64,
     /// Zenoh endpoint of the site, such as tcp/192.168.1.10:7447, instead of the machine file's; may be repeated
-    #[arg(long, value_name = "ENDPOINT")]
+    #[arg(long, value_name = "ENDPOINT", value_parser = endpoint)]
     pub connect: Vec<String>,
 }
 
@@ -81,6 +81,10 @@ fn options(arguments: Arguments) -> Result<Options, Box<dyn Error>> {
         machine.link.connect = connect;
     }
     Ok(Options { machine, source, speed })
+}
+
+fn endpoint(text: &str) -> Result<String, String> {
+    config::endpoint(text).map(|()| text.to_owned())
 }
 
 fn choose(ids: &[&str], wanted: Option<&str>) -> Result<usize, String> {

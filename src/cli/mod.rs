@@ -28,6 +28,8 @@ use std::process::ExitCode;
 use clap::Parser;
 
 use crate::config::{ConfigError, Violation};
+#[cfg(feature = "shells")]
+use crate::machine::{MachineError, SourceError};
 
 /// Tells a construction site where each of its excavators is, to the centimetre, also when GNSS lets go.
 #[derive(Debug, Parser)]
@@ -105,6 +107,10 @@ pub fn main() -> ExitCode {
 fn exit_code(error: &(dyn Error + 'static)) -> ExitCode {
     let mut cause = Some(error);
     while let Some(error) = cause {
+        #[cfg(feature = "shells")]
+        if let Some(MachineError::Source(SourceError::NotRecorded { .. })) = error.downcast_ref() {
+            return ExitCode::from(2);
+        }
         if error.is::<ConfigError>() || error.is::<Violation>() || error.is::<BadArguments>() {
             return ExitCode::from(2);
         }

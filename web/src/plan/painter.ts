@@ -22,6 +22,8 @@ const SCALE_BAR_PX = 140;
 const LABEL_LIFT_M = 2.6;
 const LABEL_LIFT_MIN_PX = 26;
 const LABEL_LIFT_MAX_PX = 110;
+/** With a little room. */
+const LABEL_HEIGHT_PX = 30;
 
 export interface Label {
   id: string;
@@ -187,9 +189,10 @@ export class PlanPainter {
     const width_px = this.view.toPixels(max)[0];
     const body_px = LABEL_LIFT_M / this.view.metresPerPixel();
     const lift_px = Math.min(LABEL_LIFT_MAX_PX, Math.max(LABEL_LIFT_MIN_PX, body_px));
-    return [...state.machines].flatMap(([id, machine]) => {
+    const placed: (Label & { half_px: number })[] = [];
+    for (const [id, machine] of state.machines) {
       const { pose, name, state_word: word } = machine.view;
-      if (pose === null) return [];
+      if (pose === null) continue;
       const [x, y] = this.view.toPixels(axisOf(pose));
       const stale = isStale(state, machine);
       const severity = shownSeverity(state, machine);
@@ -197,8 +200,16 @@ export class PlanPainter {
       const half_px = 30 + 3.4 * (name.length + word.length);
       const inside_px = Math.max(Math.min(x, width_px - half_px), half_px);
       const selected = id === this.desk.choices.selected.value;
-      return [{ id, name, word, severity, stale, selected, x: inside_px, y: y - lift_px }];
-    });
+      const label = { id, name, word, severity, stale, selected, x: inside_px, y: y - lift_px, half_px };
+      // Machines that stand close together: one label above the other.
+      let below = placed.find((other) => overlap(label, other));
+      for (let step = 0; below !== undefined && step < placed.length; step += 1) {
+        label.y = below.y - LABEL_HEIGHT_PX;
+        below = placed.find((other) => overlap(label, other));
+      }
+      placed.push(label);
+    }
+    return placed;
   }
 
   private gridLabels(extent: Extent, step_m: number): GridLabel[] {
@@ -227,6 +238,18 @@ export class PlanPainter {
     this.covered = { extent: wide, step_m };
     this.view.drawGrid(gridLines(wide, step_m));
   }
+}
+
+interface Placed {
+  x: number;
+  y: number;
+  half_px: number;
+}
+
+function overlap(one: Placed, other: Placed): boolean {
+  return (
+    Math.abs(one.x - other.x) < one.half_px + other.half_px && Math.abs(one.y - other.y) < LABEL_HEIGHT_PX
+  );
 }
 
 function around([east, north]: Metres, room_m: number): Extent {
