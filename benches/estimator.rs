@@ -159,6 +159,13 @@ fn live(speed: f64, seconds: f64) -> (Times, u64) {
     let (mut predictor, mut updater) = split(options);
     let (to_updater, readings) = sync_channel::<Arrival>(1 << 14);
     let (answers, solutions) = sync_channel(1 << 10);
+    let start = arrivals.partition_point(|arrival| arrival.arrival.as_seconds() <= START_S);
+    for arrival in &arrivals[..start] {
+        predictor.push(arrival);
+        if let Some(solution) = updater.push(arrival) {
+            predictor.adopt(solution);
+        }
+    }
     let worker = thread::spawn(move || {
         for arrival in readings {
             if let Some(solution) = updater.push(&arrival)
@@ -170,23 +177,20 @@ fn live(speed: f64, seconds: f64) -> (Times, u64) {
     });
     let mut times = Times::default();
     let mut updates = 0;
-    let mut begin = None;
-    for arrival in &arrivals {
-        let data_s = arrival.arrival.as_seconds() - START_S;
-        if data_s > 0.0 {
-            let due = Duration::from_secs_f64(data_s / speed);
-            if let Some(early) = due.checked_sub(begin.get_or_insert_with(Instant::now).elapsed()) {
-                thread::sleep(early);
-            }
+    let begin = Instant::now();
+    for arrival in &arrivals[start..] {
+        let due = Duration::from_secs_f64((arrival.arrival.as_seconds() - START_S) / speed);
+        if let Some(early) = due.checked_sub(begin.elapsed()) {
+            thread::sleep(early);
         }
         for solution in solutions.try_iter() {
             predictor.adopt(solution);
-            updates += u64::from(begin.is_some());
+            updates += 1;
         }
         let before = Instant::now();
         let estimate = black_box(predictor.push(black_box(arrival)));
         let nanos = before.elapsed().as_nanos() as u64;
-        if begin.is_some() && estimate.is_some() {
+        if estimate.is_some() {
             times.note(nanos);
         }
         to_updater.send(*arrival).expect("the updater lives as long as its readings come");

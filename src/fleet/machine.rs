@@ -6,7 +6,8 @@ use super::link::{ClockOffset, Gaps, Interval, Rate};
 use super::view::{self, HealthView, LinkView, MachineView, PoseView, UtcTime};
 use super::{
     HEALTH_AGE_MAX, MachineReport, ORIGIN_OFF_MAX_M, POSE_AGE_LIMIT, POSE_AGE_MAX, POSES_MISSING_MAX,
-    PoseSample, Presence, Publication, RIVAL_SHOWN_FOR, RIVAL_TOLD_EVERY, Receipt, Severity, Topic,
+    PoseSample, Presence, Publication, RIVAL_AFTER, RIVAL_SHOWN_FOR, RIVAL_TOLD_EVERY, Receipt, Severity,
+    Topic,
 };
 use crate::frames::geodesy::SiteFrame;
 use crate::frames::{Base, Odom, Pose};
@@ -31,6 +32,7 @@ pub(super) struct Machine {
     /// Boots whose liveliness token stands.
     tokens: BTreeSet<u64>,
     boot: Option<u64>,
+    boot_since: Stamp,
     retired: VecDeque<u64>,
     presence: Presence,
     presence_since: Stamp,
@@ -54,6 +56,7 @@ impl Machine {
         Self {
             tokens: BTreeSet::new(),
             boot: None,
+            boot_since: now,
             retired: VecDeque::new(),
             presence: Presence::Lost,
             presence_since: now,
@@ -85,7 +88,7 @@ impl Machine {
         self.tokens.insert(boot);
         // A link that comes back brings back the token of the same boot.
         if !self.retired.contains(&boot) {
-            self.adopt(boot);
+            self.adopt(boot, now);
         }
         self.advance(now);
     }
@@ -100,7 +103,7 @@ impl Machine {
             self.refused += 1;
             return self.straggler(publication.boot, now);
         }
-        self.adopt(publication.boot);
+        self.adopt(publication.boot, now);
         self.gaps.count(topic, publication.sequence);
         self.clock_offset.observe(publication, now);
         if topic == Topic::Pose {
@@ -112,7 +115,7 @@ impl Machine {
 
     /// A message of an earlier boot: a straggler, or a second machine if its token stands.
     fn straggler(&mut self, boot: u64, now: Stamp) -> Receipt {
-        if !self.tokens.contains(&boot) {
+        if !self.tokens.contains(&boot) || now - self.boot_since < RIVAL_AFTER {
             return Receipt::OldBoot;
         }
         self.rival = Some(now);
@@ -189,7 +192,7 @@ impl Machine {
         }
     }
 
-    fn adopt(&mut self, boot: u64) {
+    fn adopt(&mut self, boot: u64, now: Stamp) {
         if self.boot == Some(boot) {
             return;
         }
@@ -199,6 +202,7 @@ impl Machine {
             }
             self.retired.push_back(before);
         }
+        self.boot_since = now;
         self.gaps.restart();
         self.pose_interval = Interval::default();
         self.clock_offset = ClockOffset::default();

@@ -47,6 +47,8 @@ pub const POSES_MISSING_MAX: i64 = 3;
 pub const POSE_AGE_LIMIT: Span = Span::from_millis(10_000);
 /// A machine's origin may be so far from the site's, m: less than its position is good for.
 pub const ORIGIN_OFF_MAX_M: f64 = 0.001;
+/// A message of an earlier boot is no straggler any more so long after the next one appeared.
+pub const RIVAL_AFTER: Span = Span::from_millis(1_000);
 /// Two machines with one id are told again after so long.
 pub const RIVAL_TOLD_EVERY: Span = Span::from_millis(10_000);
 /// And shown for so long after the last message of the one that is not listened to.
@@ -130,7 +132,7 @@ pub enum Receipt {
     Accepted,
     /// From a boot that was followed by another one.
     OldBoot,
-    /// The same, but its token still stands: there are two machines with one id. Told at most every
+    /// The same, but long ago, and its token still stands: there are two machines with one id. Told at most every
     /// [`RIVAL_TOLD_EVERY`].
     Rival,
     /// There are [`MACHINES_MAX`] machines already.

@@ -356,13 +356,15 @@ fn second_machine_with_the_same_id_is_told_and_shown() {
     send_pose(&mut fleet, 0, BOOT, at(0.1));
     fleet.announce("a", BOOT + 1, at(0.2));
     send_pose(&mut fleet, 0, BOOT + 1, at(0.3));
-    assert_eq!(send_pose(&mut fleet, 1, BOOT, at(0.4)), Receipt::Rival);
-    assert_eq!(send_pose(&mut fleet, 2, BOOT, at(0.5)), Receipt::OldBoot, "told once");
-    let shown = view(&mut fleet, at(0.5));
+    assert_eq!(send_pose(&mut fleet, 0, BOOT, at(0.4)), Receipt::OldBoot, "it was on its way");
+    send_pose(&mut fleet, 1, BOOT + 1, at(1.3));
+    assert_eq!(send_pose(&mut fleet, 1, BOOT, at(1.4)), Receipt::Rival);
+    assert_eq!(send_pose(&mut fleet, 2, BOOT, at(1.5)), Receipt::OldBoot, "told once");
+    let shown = view(&mut fleet, at(1.5));
     assert_eq!((shown.state_word.as_str(), shown.severity), ("TWO MACHINES HAVE THIS ID", Severity::Bad));
     // It is gone: what is still on its way is a straggler.
-    fleet.withdraw("a", BOOT, at(0.6));
-    assert_eq!(send_pose(&mut fleet, 3, BOOT, at(0.7)), Receipt::OldBoot);
-    send_pose(&mut fleet, 1, BOOT + 1, at(4.0));
-    assert_ne!(view(&mut fleet, at(4.0)).state_word, "TWO MACHINES HAVE THIS ID");
+    fleet.withdraw("a", BOOT, at(1.6));
+    assert_eq!(send_pose(&mut fleet, 3, BOOT, at(1.7)), Receipt::OldBoot);
+    send_pose(&mut fleet, 2, BOOT + 1, at(5.0));
+    assert_ne!(view(&mut fleet, at(5.0)).state_word, "TWO MACHINES HAVE THIS ID");
 }
