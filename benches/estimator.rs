@@ -1,14 +1,19 @@
-//! What the estimator costs: one IMU sample, one second of preintegration, one update at two lags, a whole log.
+//! What the estimator costs: one IMU sample, alone and while updates run, one second of preintegration, one update
+//! at two lags, a whole log.
 //!
 //! `cargo bench --no-default-features` runs all; the figures of a machine are in the README.
 
 use std::hint::black_box;
 use std::path::Path;
+use std::sync::mpsc::sync_channel;
+use std::thread;
+use std::time::{Duration, Instant};
 
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
 use holdfast::config;
 use holdfast::estimator::{Estimator, Options, split};
 use holdfast::preintegration::{Preintegration, Step};
+use holdfast::replay::{Distribution, Times};
 use holdfast::sensors::{Arrival, Reading};
 use holdfast::simulate::{Scenario, Simulation};
 use holdfast::time::{Span, Stamp};
@@ -119,5 +124,89 @@ fn whole_log(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, propagate_one_sample, preintegrate_one_second, update_at_lag, whole_log);
+/// One IMU sample to its estimate as on a machine: readings come at their pace and the updater works on a thread
+/// of its own. At real time the caches are cold and the core may sleep between two samples; at twenty times
+/// that, an update runs nearly always.
+///
+/// Not criterion's to measure: it would call the function in a row.
+fn propagate_while_updates_run(_: &mut Criterion) {
+    // Criterion passes these when the benchmarks are only tried, or others are asked for.
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let filters = || arguments.iter().filter(|argument| !argument.starts_with('-'));
+    let name = "propagate one IMU sample while updates run";
+    if arguments.iter().any(|argument| argument == "--test" || argument == "--list")
+        || filters().next().is_some() && !filters().any(|filter| name.contains(filter.as_str()))
+    {
+        return;
+    }
+    for (speed, seconds) in [(1.0, 10.0), (20.0, 100.0)] {
+        let (times, updates) = live(speed, seconds);
+        let Distribution { mean, p50, p99, p999, max, .. } = times.distribution();
+        println!(
+            "{name}, {speed} times real time: {} samples, mean {mean:.2} µs, 50 % {p50:.2}, 99 % {p99:.2}, \
+             99.9 % {p999:.2}, max {max:.0}; {updates} updates",
+            times.count()
+        );
+    }
+}
+
+/// Times of the predictor over `seconds` of data at `speed`, and how many solutions it took over meanwhile.
+#[allow(clippy::disallowed_methods, reason = "what is measured here takes real time, on two threads")]
+fn live(speed: f64, seconds: f64) -> (Times, u64) {
+    /// Until the estimate has started: not paced, not measured.
+    const START_S: f64 = 15.0;
+    let (arrivals, options) = construction(START_S + seconds);
+    let (mut predictor, mut updater) = split(options);
+    let (to_updater, readings) = sync_channel::<Arrival>(1 << 14);
+    let (answers, solutions) = sync_channel(1 << 10);
+    let start = arrivals.partition_point(|arrival| arrival.arrival.as_seconds() <= START_S);
+    for arrival in &arrivals[..start] {
+        predictor.push(arrival);
+        if let Some(solution) = updater.push(arrival) {
+            predictor.adopt(solution);
+        }
+    }
+    let worker = thread::spawn(move || {
+        for arrival in readings {
+            if let Some(solution) = updater.push(&arrival)
+                && answers.send(solution).is_err()
+            {
+                return;
+            }
+        }
+    });
+    let mut times = Times::default();
+    let mut updates = 0;
+    let begin = Instant::now();
+    for arrival in &arrivals[start..] {
+        let due = Duration::from_secs_f64((arrival.arrival.as_seconds() - START_S) / speed);
+        if let Some(early) = due.checked_sub(begin.elapsed()) {
+            thread::sleep(early);
+        }
+        for solution in solutions.try_iter() {
+            predictor.adopt(solution);
+            updates += 1;
+        }
+        let before = Instant::now();
+        let estimate = black_box(predictor.push(black_box(arrival)));
+        let nanos = before.elapsed().as_nanos() as u64;
+        if estimate.is_some() {
+            times.note(nanos);
+        }
+        to_updater.send(*arrival).expect("the updater lives as long as its readings come");
+    }
+    drop(to_updater);
+    drop(solutions);
+    worker.join().expect("the updater does not panic");
+    (times, updates)
+}
+
+criterion_group!(
+    benches,
+    propagate_one_sample,
+    propagate_while_updates_run,
+    preintegrate_one_second,
+    update_at_lag,
+    whole_log
+);
 criterion_main!(benches);

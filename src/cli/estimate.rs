@@ -4,7 +4,7 @@ use std::error::Error;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use super::{Outcome, progress};
+use super::{Outcome, must_exist, progress};
 use crate::config::{self, Machine};
 use crate::import::read_log_folder;
 use crate::record::{self, read_arrivals};
@@ -50,6 +50,7 @@ pub enum Method {
 /// The log or the machine file cannot be used, or a file cannot be written.
 pub fn run(arguments: Arguments) -> Result<Outcome, Box<dyn Error>> {
     let machine: Machine = config::load(&arguments.machine)?;
+    must_exist(&arguments.log)?;
     let (arrivals, lost_bytes) = read(&arguments.log, &machine)?;
     let begin = arrivals.first().map(|arrival| arrival.arrival);
     let end = arrivals.last().map(|arrival| arrival.arrival);

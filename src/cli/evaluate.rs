@@ -9,7 +9,7 @@ use serde::Serialize;
 use crate::evaluate::{self, Alignment, Errors, Options, Report};
 use crate::import::{read_intervals, read_tum};
 
-use super::progress;
+use super::{must_exist, progress};
 
 /// Compare estimated trajectories with the true one
 ///
@@ -69,6 +69,8 @@ struct Estimate {
 /// # Errors
 /// A file cannot be read or written, or nothing can be compared.
 pub fn run(arguments: Arguments) -> Result<(), Box<dyn Error>> {
+    must_exist(&arguments.truth)?;
+    arguments.estimate.iter().chain(&arguments.intervals).try_for_each(|path| must_exist(path))?;
     let bar = progress::bar();
     let truth = read_tum(&arguments.truth)?;
     let intervals = arguments.intervals.as_deref().map(read_intervals).transpose()?.unwrap_or_default();

@@ -7,7 +7,7 @@ use crate::config;
 use crate::machine::{self, Options, Source};
 use crate::simulate::Scenario;
 
-use super::logging;
+use super::{BadArguments, logging, must_exist};
 
 /// Run one excavator's peer: estimate its position and publish it to the site
 ///
@@ -34,7 +34,7 @@ pub struct Arguments {
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = speed)]
     pub speed: f64,
     /// Zenoh endpoint of the site, such as tcp/192.168.1.10:7447, instead of the machine file's; may be repeated
-    #[arg(long, value_name = "ENDPOINT")]
+    #[arg(long, value_name = "ENDPOINT", value_parser = endpoint)]
     pub connect: Vec<String>,
 }
 
@@ -58,24 +58,33 @@ fn options(arguments: Arguments) -> Result<Options, Box<dyn Error>> {
     let (mut machine, source) = match (scenario, config) {
         (Some(path), _) => {
             let scenario = Scenario::load(&path)?;
-            let index = choose(&scenario.machine_ids(), wanted.as_deref())?;
+            let index = choose(&scenario.machine_ids(), wanted.as_deref()).map_err(BadArguments)?;
             let machine = scenario.machines[index].clone();
             (machine, Source::Simulation { scenario: Box::new(scenario), index })
         }
         (None, Some(path)) => {
             let machine: config::Machine = config::load(&path)?;
             let source = match play {
-                Some(path) => Source::Play { path, recorded_machine: wanted },
+                Some(path) => {
+                    must_exist(&path)?;
+                    Source::Play { path, recorded_machine: wanted }
+                }
                 None => Source::Zenoh,
             };
             (machine, source)
         }
-        (None, None) => return Err("either --config or --scenario must be given".into()),
+        (None, None) => {
+            return Err(BadArguments("either --config or --scenario must be given".to_owned()).into());
+        }
     };
     if !connect.is_empty() {
         machine.link.connect = connect;
     }
     Ok(Options { machine, source, speed })
+}
+
+fn endpoint(text: &str) -> Result<String, String> {
+    config::endpoint(text).map(|()| text.to_owned())
 }
 
 fn choose(ids: &[&str], wanted: Option<&str>) -> Result<usize, String> {

@@ -22,11 +22,14 @@ mod simulate;
 mod site;
 
 use std::error::Error;
+use std::path::Path;
 use std::process::ExitCode;
 
 use clap::Parser;
 
 use crate::config::{ConfigError, Violation};
+#[cfg(feature = "shells")]
+use crate::machine::{MachineError, SourceError};
 
 /// Tells a construction site where each of its excavators is, to the centimetre, also when GNSS lets go.
 #[derive(Debug, Parser)]
@@ -61,6 +64,20 @@ pub enum Outcome {
     BadConfiguration,
 }
 
+/// Arguments that are well formed, but cannot be used: a file that is not there, a machine that is not in it.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+struct BadArguments(String);
+
+/// Refuses a path where there is nothing.
+fn must_exist(path: &Path) -> Result<(), BadArguments> {
+    match path.try_exists() {
+        Ok(true) => Ok(()),
+        Ok(false) => Err(BadArguments(format!("{}: there is no such file or folder", path.display()))),
+        Err(error) => Err(BadArguments(format!("{}: {error}", path.display()))),
+    }
+}
+
 /// Runs the command that the process was called with.
 pub fn main() -> ExitCode {
     let arguments = CommandLine::parse();
@@ -90,7 +107,11 @@ pub fn main() -> ExitCode {
 fn exit_code(error: &(dyn Error + 'static)) -> ExitCode {
     let mut cause = Some(error);
     while let Some(error) = cause {
-        if error.is::<ConfigError>() || error.is::<Violation>() {
+        #[cfg(feature = "shells")]
+        if let Some(MachineError::Source(SourceError::NotRecorded { .. })) = error.downcast_ref() {
+            return ExitCode::from(2);
+        }
+        if error.is::<ConfigError>() || error.is::<Violation>() || error.is::<BadArguments>() {
             return ExitCode::from(2);
         }
         cause = error.source();

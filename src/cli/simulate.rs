@@ -18,8 +18,9 @@ pub struct Arguments {
     /// Scenario file, such as config/scenarios/construction.toml
     #[arg(long, value_name = "TOML")]
     pub scenario: PathBuf,
-    /// Folder to write to; made if it is not there
-    #[arg(long, value_name = "DIR")]
+    /// Folder to write to, made if it is not there; or, if it ends in .mcap, one recording with the readings
+    /// of all machines, which estimate and machine --play read, without the truth
+    #[arg(long, value_name = "DIR_OR_MCAP")]
     pub out: PathBuf,
 }
 
@@ -28,15 +29,25 @@ pub struct Arguments {
 /// # Errors
 /// The scenario cannot be used, or a file cannot be written.
 pub fn run(arguments: Arguments) -> Result<(), Box<dyn Error>> {
-    if arguments.out.extension().is_some_and(|extension| extension == "mcap") {
-        return Err(format!("{}: give a folder; MCAP is not written yet", arguments.out.display()).into());
-    }
     let scenario = Scenario::load(&arguments.scenario)?;
     let bar = progress::bar();
-    let written = simulate::write(&scenario, &arguments.out, |progress| {
+    let show = |progress: simulate::Progress<'_>| {
         bar.set_message(progress.machine.to_owned());
         bar.set_position((progress.fraction * 1000.0) as u64);
-    });
+    };
+    if arguments.out.extension().is_some_and(|extension| extension == "mcap") {
+        let written = simulate::write_recording(&scenario, &arguments.out, show);
+        bar.finish_and_clear();
+        let summary = written?;
+        println!(
+            "{}: {} readings of {}",
+            arguments.out.display(),
+            summary.messages,
+            summary.machines.join(", ")
+        );
+        return Ok(());
+    }
+    let written = simulate::write(&scenario, &arguments.out, show);
     bar.finish_and_clear();
     written?;
     for id in scenario.machine_ids() {

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::endpoint::endpoints;
 use super::{Checked, Violation, identifier, positive, violation, within};
 use crate::estimator::{self, GateOptions};
 use crate::frames::geodesy::{Geodetic, SiteFrame};
@@ -399,6 +400,8 @@ impl Checked for Machine {
         positive("initialization.gyro_bias_sigma", self.initialization.gyro_bias_sigma)?;
         within("publish.pose_rate_hz", self.publish.pose_rate_hz, 0.1, 2000.0)?;
         identifier("link.site", &self.link.site)?;
+        endpoints("link.connect", &self.link.connect)?;
+        endpoints("link.listen", &self.link.listen)?;
         within("link.lease_ms", self.link.lease_ms as f64, 100.0, 600_000.0)
     }
 }

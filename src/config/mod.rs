@@ -3,6 +3,7 @@
 //! Unknown keys are refused, and every error names file, line and column. What a value means to the
 //! estimator is said by the estimator's own options; this room fills them in.
 
+mod endpoint;
 mod machine;
 mod site;
 
@@ -11,6 +12,7 @@ use std::path::{Path, PathBuf};
 
 use serde::de::DeserializeOwned;
 
+pub use endpoint::endpoint;
 pub use machine::{
     BaseImu, Frames, Gate, Gnss, Imu, Initialization, LidarOdometry, Link, Machine, Publish, Smoother,
     Transform, World,

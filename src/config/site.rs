@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
+use super::endpoint::endpoints;
 use super::{Checked, Violation, World, identifier, violation};
 
 /// One site server.
@@ -112,7 +113,7 @@ impl Checked for Site {
                 "is empty, must name an endpoint for the machines, such as tcp/127.0.0.1:7447".to_owned(),
             );
         }
-        Ok(())
+        endpoints("zenoh.listen", &self.zenoh.listen)
     }
 }
 

@@ -32,6 +32,8 @@ pub struct Predictor {
     inbox: Inbox,
     samples: SampleBuffer,
     track: Option<Track>,
+    /// Solutions are of no use until the updater has started anew.
+    waits_for_restart: bool,
     odom_from_imu: Option<Pose<Odom, Imu>>,
     turn: Option<Turn>,
     base_rate: Option<(Stamp, Vec3)>,
@@ -64,6 +66,7 @@ impl Predictor {
             inbox: Inbox::default(),
             samples: SampleBuffer::default(),
             track: None,
+            waits_for_restart: true,
             odom_from_imu: None,
             turn: None,
             base_rate: None,
@@ -105,6 +108,7 @@ impl Predictor {
 
     /// The clock or the IMU has jumped: no estimate until the next solution. Odom stays where it is.
     fn forget(&mut self) {
+        self.waits_for_restart = true;
         self.samples.clear();
         self.track = None;
         self.turn = None;
@@ -142,10 +146,12 @@ impl Predictor {
 
     /// Takes over a solution, between two samples: integrates the samples since its stamp from it.
     pub fn adopt(&mut self, solution: Box<Solution>) {
-        if self.track.is_none() && !solution.restart {
+        if self.waits_for_restart && !solution.restart {
             // Of before a jump of the clock or a gap: the updater will start anew.
             return;
         }
+        // Also if it comes too late to be carried on: one of those that follow will not.
+        self.waits_for_restart = false;
         let Some(newest) = self.samples.newest().map(|sample| sample.stamp) else { return };
         let Some(steps) = self.samples.steps(solution.stamp, newest) else { return };
         let noise = &self.options.smoother.noise;

@@ -1,6 +1,6 @@
 //! How good the link to one machine is: gaps, rate, clock offset. Bounded memory, no clock.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 
 use super::{Publication, Topic};
 use crate::time::{Span, Stamp};
@@ -70,6 +70,44 @@ impl Rate {
 
     fn place(slot: i64) -> usize {
         slot.rem_euclid(SLOTS as i64 + 1) as usize
+    }
+}
+
+/// Intervals that are remembered; one that is long because the machine paused does not count.
+const INTERVALS: usize = 5;
+
+/// The usual time between two messages of a topic, by the site's clock. Messages that were lost do not make it
+/// longer: it is told by their numbers how many there were.
+#[derive(Debug, Default)]
+pub(super) struct Interval {
+    last: Option<(u64, Stamp)>,
+    recent: VecDeque<Span>,
+}
+
+impl Interval {
+    /// Counts the message `sequence` at `now`.
+    pub fn observe(&mut self, sequence: u64, now: Stamp) {
+        if let Some((before, at)) = self.last {
+            let count = i64::try_from(sequence.saturating_sub(before)).unwrap_or(i64::MAX);
+            if count == 0 {
+                return;
+            }
+            if self.recent.len() == INTERVALS {
+                self.recent.pop_front();
+            }
+            self.recent.push_back(Span::from_nanos((now - at).as_nanos().max(0) / count));
+        }
+        self.last = Some((sequence, now));
+    }
+
+    /// The median of the last ones, the shorter of two in the middle; `None` before there are two.
+    pub fn usual(&self) -> Option<Span> {
+        if self.recent.len() < 2 {
+            return None;
+        }
+        let mut sorted: Vec<Span> = self.recent.iter().copied().collect();
+        sorted.sort_unstable();
+        Some(sorted[(sorted.len() - 1) / 2])
     }
 }
 
@@ -150,6 +188,20 @@ mod tests {
         assert_eq!(rate.hertz(at(1_000_000.0)), 0.0);
         rate.count(at(2_000_000.0));
         assert_eq!(rate.hertz(at(2_000_000.1)), 1.0);
+    }
+
+    #[test]
+    fn interval_is_the_usual_one_whatever_was_lost_or_late() {
+        let mut interval = Interval::default();
+        for (sequence, seconds) in [(0, 0.0), (1, 1.0)] {
+            interval.observe(sequence, at(seconds));
+        }
+        assert_eq!(interval.usual(), None, "one may be a pause");
+        // Numbers 2 and 3 are lost, 5 comes after a pause, 6 twice.
+        for (sequence, seconds) in [(4, 4.0), (5, 90.0), (6, 91.0), (6, 91.5), (7, 92.0)] {
+            interval.observe(sequence, at(seconds));
+        }
+        assert_eq!(interval.usual(), Some(Span::from_millis(1000)));
     }
 
     #[test]

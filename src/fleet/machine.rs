@@ -2,16 +2,17 @@
 
 use std::collections::{BTreeSet, VecDeque};
 
-use super::link::{ClockOffset, Gaps, Rate};
+use super::link::{ClockOffset, Gaps, Interval, Rate};
 use super::view::{self, HealthView, LinkView, MachineView, PoseView, UtcTime};
 use super::{
-    HEALTH_AGE_MAX, MachineReport, ORIGIN_OFF_MAX_M, POSE_AGE_MAX, PoseSample, Presence, Publication,
-    Receipt, Severity, Topic,
+    HEALTH_AGE_MAX, MachineReport, ORIGIN_OFF_MAX_M, POSE_AGE_LIMIT, POSE_AGE_MAX, POSES_MISSING_MAX,
+    PoseSample, Presence, Publication, RIVAL_AFTER, RIVAL_SHOWN_FOR, RIVAL_TOLD_EVERY, Receipt, Severity,
+    Topic,
 };
 use crate::frames::geodesy::SiteFrame;
 use crate::frames::{Base, Odom, Pose};
 use crate::state::Mode;
-use crate::time::Stamp;
+use crate::time::{Span, Stamp};
 
 /// So many earlier boots are remembered, so that their stragglers are known as such.
 const RETIRED_BOOTS_MAX: usize = 8;
@@ -31,6 +32,7 @@ pub(super) struct Machine {
     /// Boots whose liveliness token stands.
     tokens: BTreeSet<u64>,
     boot: Option<u64>,
+    boot_since: Stamp,
     retired: VecDeque<u64>,
     presence: Presence,
     presence_since: Stamp,
@@ -41,7 +43,11 @@ pub(super) struct Machine {
     report: Option<Received<MachineReport>>,
     gaps: Gaps,
     pose_rate: Rate,
+    pose_interval: Interval,
     clock_offset: ClockOffset,
+    /// When another machine with this id last spoke, and when that was last told.
+    rival: Option<Stamp>,
+    rival_told: Option<Stamp>,
     refused: u64,
 }
 
@@ -50,6 +56,7 @@ impl Machine {
         Self {
             tokens: BTreeSet::new(),
             boot: None,
+            boot_since: now,
             retired: VecDeque::new(),
             presence: Presence::Lost,
             presence_since: now,
@@ -59,7 +66,10 @@ impl Machine {
             report: None,
             gaps: Gaps::default(),
             pose_rate: Rate::default(),
+            pose_interval: Interval::default(),
             clock_offset: ClockOffset::default(),
+            rival: None,
+            rival_told: None,
             refused: 0,
         }
     }
@@ -78,7 +88,7 @@ impl Machine {
         self.tokens.insert(boot);
         // A link that comes back brings back the token of the same boot.
         if !self.retired.contains(&boot) {
-            self.adopt(boot);
+            self.adopt(boot, now);
         }
         self.advance(now);
     }
@@ -91,15 +101,36 @@ impl Machine {
     pub fn receive(&mut self, topic: Topic, publication: &Publication, now: Stamp) -> Receipt {
         if self.retired.contains(&publication.boot) {
             self.refused += 1;
-            return Receipt::OldBoot;
+            return self.straggler(publication.boot, now);
         }
-        self.adopt(publication.boot);
+        self.adopt(publication.boot, now);
         self.gaps.count(topic, publication.sequence);
         self.clock_offset.observe(publication, now);
         if topic == Topic::Pose {
             self.pose_rate.count(now);
+            self.pose_interval.observe(publication.sequence, now);
         }
         Receipt::Accepted
+    }
+
+    /// A message of an earlier boot: a straggler, or a second machine if its token stands.
+    fn straggler(&mut self, boot: u64, now: Stamp) -> Receipt {
+        if !self.tokens.contains(&boot) || now - self.boot_since < RIVAL_AFTER {
+            return Receipt::OldBoot;
+        }
+        self.rival = Some(now);
+        if self.rival_told.is_some_and(|told| now - told < RIVAL_TOLD_EVERY) {
+            return Receipt::OldBoot;
+        }
+        self.rival_told = Some(now);
+        Receipt::Rival
+    }
+
+    /// A pose older than this is old: by the machine's own pace if that is slow.
+    fn pose_age_max(&self) -> Span {
+        let usual = self.pose_interval.usual().unwrap_or_default();
+        Span::from_nanos(usual.as_nanos().saturating_mul(POSES_MISSING_MAX))
+            .clamp(POSE_AGE_MAX, POSE_AGE_LIMIT)
     }
 
     pub fn refuse(&mut self) {
@@ -150,7 +181,7 @@ impl Machine {
         let report = self.report.as_ref().filter(|report| of_this_boot(report.boot));
         let initializing = report.is_some_and(|report| report.value.health.mode == Mode::Initializing);
         let fresh_until = match pose {
-            Some(pose) if !initializing => Some(pose.at + POSE_AGE_MAX),
+            Some(pose) if !initializing => Some(pose.at + self.pose_age_max()),
             _ => report.map(|report| report.at + HEALTH_AGE_MAX),
         };
         match fresh_until {
@@ -161,7 +192,7 @@ impl Machine {
         }
     }
 
-    fn adopt(&mut self, boot: u64) {
+    fn adopt(&mut self, boot: u64, now: Stamp) {
         if self.boot == Some(boot) {
             return;
         }
@@ -171,7 +202,9 @@ impl Machine {
             }
             self.retired.push_back(before);
         }
+        self.boot_since = now;
         self.gaps.restart();
+        self.pose_interval = Interval::default();
         self.clock_offset = ClockOffset::default();
         self.odom_from_base = None;
     }
@@ -181,7 +214,8 @@ impl Machine {
         let pose = self.pose.as_ref().map(|pose| {
             let description = report.map(|report| &report.value);
             let age_s = now.seconds_since(pose.at).max(0.0);
-            PoseView::new(&pose.value, age_s, description, self.odom_from_base, frame)
+            let fresh_s = self.pose_age_max().as_seconds();
+            PoseView { fresh_s, ..PoseView::new(&pose.value, age_s, description, self.odom_from_base, frame) }
         });
         let health = report.map(|report| HealthView {
             age_s: now.seconds_since(report.at).max(0.0),
@@ -194,6 +228,11 @@ impl Machine {
         let origin_off_m = report.map_or(0.0, |report| frame.to_enu(report.value.origin).norm());
         if self.presence == Presence::Online && origin_off_m > ORIGIN_OFF_MAX_M {
             state_word = format!("WRONG ORIGIN: {origin_off_m:.3} m from the site's");
+            severity = Severity::Bad;
+        }
+        let rival = self.rival.is_some_and(|spoke| now - spoke <= RIVAL_SHOWN_FOR);
+        if self.presence != Presence::Lost && rival {
+            state_word = "TWO MACHINES HAVE THIS ID".to_owned();
             severity = Severity::Bad;
         }
         MachineView {

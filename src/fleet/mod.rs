@@ -11,7 +11,8 @@
 //!     ▲                            │                               │
 //!     └────────────────────────────┴───────── no token ────────────┘
 //! ```
-//! *Data* is the newest pose, which may be 0.5 s old; as long as the estimator has not started (no pose since
+//! *Data* is the newest pose, which may be 0.5 s old, or three times the usual time between two poses if that
+//! is longer; as long as the estimator has not started (no pose since
 //! boot, or the machine reports that it is initializing) it is the newest health, which may be 2.5 s old. A
 //! lost machine keeps its last values, and their ages grow. Telling the same thing twice changes nothing. A
 //! restart is a new boot id: counting starts anew, and what still arrives from the boot before is refused.
@@ -37,10 +38,21 @@ use machine::Machine;
 
 /// More machines than this on one site are refused: keys come from outside, memory does not.
 pub const MACHINES_MAX: usize = 1000;
-/// A pose older than this is old.
+/// A pose older than this is old, unless the machine publishes so slowly that [`POSES_MISSING_MAX`] times the
+/// usual time between two poses is longer.
 pub const POSE_AGE_MAX: Span = Span::from_millis(500);
+/// So many poses in a row may be missing before the newest one is old.
+pub const POSES_MISSING_MAX: i64 = 3;
+/// However slowly a machine publishes, a pose older than this is old.
+pub const POSE_AGE_LIMIT: Span = Span::from_millis(10_000);
 /// A machine's origin may be so far from the site's, m: less than its position is good for.
 pub const ORIGIN_OFF_MAX_M: f64 = 0.001;
+/// A message of an earlier boot is no straggler any more so long after the next one appeared.
+pub const RIVAL_AFTER: Span = Span::from_millis(1_000);
+/// Two machines with one id are told again after so long.
+pub const RIVAL_TOLD_EVERY: Span = Span::from_millis(10_000);
+/// And shown for so long after the last message of the one that is not listened to.
+pub const RIVAL_SHOWN_FOR: Span = Span::from_millis(3_000);
 /// A health message older than this is old.
 pub const HEALTH_AGE_MAX: Span = Span::from_millis(2_500);
 
@@ -120,6 +132,9 @@ pub enum Receipt {
     Accepted,
     /// From a boot that was followed by another one.
     OldBoot,
+    /// The same, but long ago, and its token still stands: there are two machines with one id. Told at most every
+    /// [`RIVAL_TOLD_EVERY`].
+    Rival,
     /// There are [`MACHINES_MAX`] machines already.
     TooManyMachines,
 }

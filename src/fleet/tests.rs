@@ -330,3 +330,41 @@ fn time_that_steps_back_gives_no_negative_age() {
     assert_eq!(view.pose.expect("pose").age_s, 0.0);
     assert_eq!(view.presence, Presence::Online);
 }
+
+#[test]
+fn slow_publisher_is_not_stale_between_two_poses() {
+    let mut fleet = fleet();
+    fleet.announce("a", BOOT, at(0.0));
+    for second in 0..4 {
+        send_pose(&mut fleet, second, BOOT, at(second as f64));
+    }
+    let between = view(&mut fleet, at(5.9));
+    assert_eq!(between.presence, Presence::Online, "it sends one pose a second, and two are missing");
+    assert_eq!(between.pose.expect("pose").fresh_s, 3.0);
+    assert_eq!(presence(&mut fleet, at(6.1)), Presence::Stale);
+    // The next boot is fast: it is judged by its own pace.
+    for sample in 0..50 {
+        send_pose(&mut fleet, sample, BOOT + 1, at(7.0 + 0.01 * sample as f64));
+    }
+    assert_eq!(view(&mut fleet, at(7.5)).pose.expect("pose").fresh_s, 0.5);
+}
+
+#[test]
+fn second_machine_with_the_same_id_is_told_and_shown() {
+    let mut fleet = fleet();
+    fleet.announce("a", BOOT, at(0.0));
+    send_pose(&mut fleet, 0, BOOT, at(0.1));
+    fleet.announce("a", BOOT + 1, at(0.2));
+    send_pose(&mut fleet, 0, BOOT + 1, at(0.3));
+    assert_eq!(send_pose(&mut fleet, 0, BOOT, at(0.4)), Receipt::OldBoot, "it was on its way");
+    send_pose(&mut fleet, 1, BOOT + 1, at(1.3));
+    assert_eq!(send_pose(&mut fleet, 1, BOOT, at(1.4)), Receipt::Rival);
+    assert_eq!(send_pose(&mut fleet, 2, BOOT, at(1.5)), Receipt::OldBoot, "told once");
+    let shown = view(&mut fleet, at(1.5));
+    assert_eq!((shown.state_word.as_str(), shown.severity), ("TWO MACHINES HAVE THIS ID", Severity::Bad));
+    // It is gone: what is still on its way is a straggler.
+    fleet.withdraw("a", BOOT, at(1.6));
+    assert_eq!(send_pose(&mut fleet, 3, BOOT, at(1.7)), Receipt::OldBoot);
+    send_pose(&mut fleet, 2, BOOT + 1, at(5.0));
+    assert_ne!(view(&mut fleet, at(5.0)).state_word, "TWO MACHINES HAVE THIS ID");
+}

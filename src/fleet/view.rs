@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::{Serialize, Serializer};
 
-use super::{MachineReport, PoseSample};
+use super::{MachineReport, POSE_AGE_MAX, PoseSample};
 use crate::frames::geodesy::{Geodetic, SiteFrame};
 use crate::frames::{Base, Cabin, Odom, Pose, World};
 use crate::lie::Vec3;
@@ -156,6 +156,8 @@ pub struct PoseView {
     pub stamp: UtcTime,
     /// Since it arrived, by the site's clock, s.
     pub age_s: f64,
+    /// Older than this it is old, s: three times the usual time between two poses, half a second at least.
+    pub fresh_s: f64,
     /// Of the cabin IMU in the site frame: east, north, up, m.
     pub position_m: [f64; 3],
     /// Of the cabin IMU, degrees.
@@ -239,6 +241,7 @@ impl PoseView {
         Self {
             stamp: UtcTime(sample.stamp),
             age_s,
+            fresh_s: POSE_AGE_MAX.as_seconds(),
             position_m: position.into(),
             latitude_deg: geodetic.latitude_deg,
             longitude_deg: geodetic.longitude_deg,

@@ -6,7 +6,8 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use crate::wire::Topic;
+use crate::replay::{Distribution, Times};
+use crate::wire::{Latency, Topic};
 
 /// Counted by all threads; nothing is decided by it.
 #[derive(Debug, Default)]
@@ -23,32 +24,42 @@ pub(super) struct Counters {
     pub(super) update_dropped: AtomicU64,
     /// Messages that the outbox did not take.
     pub(super) output_dropped: AtomicU64,
-    predict: Mutex<Durations>,
-    update: Mutex<Durations>,
+    predict: Mutex<Predictions>,
+    update: Mutex<Times>,
 }
 
-#[derive(Clone, Copy, Debug, Default)]
-struct Durations {
-    count: u64,
-    total: Duration,
-    longest: Duration,
-}
-
-impl Durations {
-    fn mean_us(&self) -> f64 {
-        if self.count == 0 { 0.0 } else { self.total.as_secs_f64() * 1e6 / self.count as f64 }
-    }
+/// From IMU samples to their estimates: since the start, and since somebody last asked.
+#[derive(Debug, Default)]
+struct Predictions {
+    all: Times,
+    recent: Times,
 }
 
 impl Counters {
     /// From an IMU sample to its estimate.
     pub(super) fn predicted_in(&self, duration: Duration) {
-        add(&self.predict, duration);
+        let nanos = nanos(duration);
+        let mut predict = lock(&self.predict);
+        predict.all.note(nanos);
+        predict.recent.note(nanos);
     }
 
     /// One update.
     pub(super) fn updated_in(&self, duration: Duration) {
-        add(&self.update, duration);
+        lock(&self.update).note(nanos(duration));
+    }
+
+    /// From IMU samples to their estimates since the last call; `None` if there were none.
+    pub(super) fn recent_latency(&self) -> Option<Latency> {
+        let recent = {
+            let mut predict = lock(&self.predict);
+            if predict.recent.count() == 0 {
+                return None;
+            }
+            std::mem::take(&mut predict.recent)
+        };
+        let Distribution { mean, p99, max, .. } = recent.distribution();
+        Some(Latency { mean_us: mean, p99_us: p99, max_us: max })
     }
 
     /// What was lost so far, by cause.
@@ -62,36 +73,30 @@ impl Counters {
     }
 
     pub(super) fn report(&self, published: BTreeMap<Topic, u64>) -> Report {
-        let predict = *lock(&self.predict);
-        let update = *lock(&self.update);
+        let update = lock(&self.update);
         Report {
             readings: self.readings.load(Ordering::Relaxed),
             estimates: self.estimates.load(Ordering::Relaxed),
             lost: self.losses().iter().map(|(_, count)| count).sum(),
-            predict_us_mean: predict.mean_us(),
-            predict_us_max: predict.longest.as_secs_f64() * 1e6,
-            updates: update.count,
-            update_us_mean: update.mean_us(),
-            update_us_max: update.longest.as_secs_f64() * 1e6,
+            predict_us: lock(&self.predict).all.distribution(),
+            updates: update.count(),
+            update_us: update.distribution(),
             published,
         }
     }
 }
 
-fn lock(durations: &Mutex<Durations>) -> std::sync::MutexGuard<'_, Durations> {
-    // Plain numbers cannot be left half-written.
-    durations.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
+fn lock<T>(counted: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    // Plain numbers: at worst the last one is half counted.
+    counted.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
 }
 
-fn add(durations: &Mutex<Durations>, duration: Duration) {
-    let mut durations = lock(durations);
-    durations.count += 1;
-    durations.total += duration;
-    durations.longest = durations.longest.max(duration);
+fn nanos(duration: Duration) -> u64 {
+    u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX)
 }
 
 /// What a machine's peer did in its run.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct Report {
     /// Readings that the estimator took.
     pub readings: u64,
@@ -99,33 +104,30 @@ pub struct Report {
     pub estimates: u64,
     /// Readings and messages that were lost for want of room or sense.
     pub lost: u64,
-    /// From an IMU sample to its propagated state, µs.
-    pub predict_us_mean: f64,
-    /// The longest, µs.
-    pub predict_us_max: f64,
+    /// From an IMU sample to its propagated state.
+    pub predict_us: Distribution,
     /// Updates of the smoother.
     pub updates: u64,
-    /// Time of one, µs.
-    pub update_us_mean: f64,
-    /// The longest, µs.
-    pub update_us_max: f64,
+    /// Time of one.
+    pub update_us: Distribution,
     /// Messages of each topic.
     pub published: BTreeMap<Topic, u64>,
 }
 
 impl fmt::Display for Report {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Distribution { mean, p99, p999, max, .. } = self.predict_us;
         write!(
             formatter,
-            "{} readings, {} estimates in {:.1} µs each ({:.1} at most), {} updates in {:.0} µs each \
-             ({:.0} at most), {} messages published, {} readings or messages lost",
+            "{} readings, {} estimates in {mean:.1} µs each (99 %: {p99:.1}, 99.9 %: {p999:.1}, at most \
+             {max:.0}), {} updates in {:.0} µs each (99 %: {:.0}, at most {:.0}), {} messages published, \
+             {} readings or messages lost",
             self.readings,
             self.estimates,
-            self.predict_us_mean,
-            self.predict_us_max,
             self.updates,
-            self.update_us_mean,
-            self.update_us_max,
+            self.update_us.mean,
+            self.update_us.p99,
+            self.update_us.max,
             self.published.values().sum::<u64>(),
             self.lost,
         )

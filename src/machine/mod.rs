@@ -17,6 +17,7 @@
     reason = "shells read clocks: here for stamps of arrival and for what is measured"
 )]
 
+mod audience;
 mod clock;
 mod counters;
 mod outbox;
@@ -35,11 +36,12 @@ use crate::{config, estimator};
 pub use counters::Report;
 pub use source::{Source, SourceError};
 
+use audience::Audience;
 use clock::Clock;
 use counters::Counters;
 use outbox::Outbox;
 use pipeline::Pipeline;
-use source::Feed;
+use source::{Feed, Surroundings};
 
 /// What a machine's peer needs to start.
 pub struct Options {
@@ -78,6 +80,7 @@ pub struct Machine {
     boot: BootId,
     session: zenoh::Session,
     token: LivelinessToken,
+    audience: Audience,
     feed: Feed,
     pipeline: Pipeline,
     outbox: Outbox,
@@ -101,7 +104,9 @@ impl Machine {
         let (outbox, outlets) = Outbox::start(&session, &machine, boot, clock, Arc::clone(&counters)).await?;
         let (predictor, updater) = estimator::split(machine.estimator_options());
         let (pipeline, inlet) = Pipeline::start(predictor, updater, outlets.clone(), Arc::clone(&counters))?;
-        let feed = prepared.start(&session, &machine, inlet, outlets, clock, Arc::clone(&counters)).await?;
+        let audience = Audience::watch(&session, &machine).await?;
+        let surroundings = Surroundings { outlets, clock, counters: Arc::clone(&counters) };
+        let feed = prepared.start(&session, &machine, inlet, surroundings, audience.present()).await?;
         let key = alive_key(&machine.link.site, &machine.id, boot);
         let token = session
             .liveliness()
@@ -115,7 +120,7 @@ impl Machine {
             connect = ?machine.link.connect,
             "the machine's peer runs"
         );
-        Ok(Self { boot, session, token, feed, pipeline, outbox, counters })
+        Ok(Self { boot, session, token, audience, feed, pipeline, outbox, counters })
     }
 
     /// This run.
@@ -139,10 +144,11 @@ impl Machine {
     /// # Errors
     /// [`MachineError::Panicked`] if the estimator did not live to see it.
     pub async fn stop(self) -> Result<Report, MachineError> {
-        let Self { boot, session, token, feed, pipeline, outbox, counters } = self;
+        let Self { boot, session, token, audience, feed, pipeline, outbox, counters } = self;
         feed.stop().await;
         let estimated = pipeline.stop().await;
         let published = outbox.stop().await;
+        audience.stop().await;
         if let Err(error) = token.undeclare().await {
             tracing::warn!(%error, "the liveliness token could not be taken back");
         }

@@ -21,7 +21,7 @@ use crate::sensors::Arrival;
 use crate::state::{Estimate, Event, GnssState, Health, Mode};
 use crate::time::{Span, Stamp};
 use crate::wire::{
-    Attachment, BootId, MachineReport, RigidMotion, RosMessage, Topic, encode_json, encode_reading,
+    Attachment, BootId, Latency, MachineReport, RigidMotion, RosMessage, Topic, encode_json, encode_reading,
     odom_message, pose_message, topic_key,
 };
 
@@ -115,6 +115,7 @@ impl Outbox {
             newest: None,
             told: None,
             losses_told: [0; 4],
+            prediction: None,
         };
         let task = tokio::spawn(task.run(stream_receiver, events_receiver, health_receiver));
         Ok((Self { task }, Outlets { stream, events, health, counters }))
@@ -178,6 +179,7 @@ struct Publishing {
     /// What the last published health said of what must be told at once.
     told: Option<(Mode, GnssState, bool)>,
     losses_told: [u64; 4],
+    prediction: Option<Latency>,
 }
 
 impl Publishing {
@@ -204,6 +206,7 @@ impl Publishing {
                     }
                 }
                 _ = second.tick() => {
+                    self.prediction = self.counters.recent_latency();
                     let health = health.borrow().clone();
                     if let Some(health) = health {
                         self.health(health).await;
@@ -261,6 +264,7 @@ impl Publishing {
             cabin_from_imu: self.identity.cabin_from_imu,
             world_from_odom: self.newest.as_ref().map(|(_, world_from_odom)| world_from_odom.into()),
             estimate_age_s: self.newest.as_ref().map(|(stamp, _)| now.seconds_since(*stamp)),
+            prediction: self.prediction,
             health,
         };
         match encode_json("machine report", &report) {

@@ -6,8 +6,9 @@ use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
+use std::time::Duration;
 
-use tokio::sync::oneshot;
+use tokio::sync::{oneshot, watch};
 use zenoh::pubsub::Subscriber;
 use zenoh::sample::{Locality, Sample};
 
@@ -26,8 +27,12 @@ use crate::state::{Event, EventKind, Severity};
 use crate::time::{Span, Stamp};
 use crate::wire::{Key, Topic, decode_reading, topic_key};
 
-/// A played source begins so long after its start, that the session has time to reach the site.
+/// A played source begins so long after somebody listens: all sensors' subscriptions are known by then.
 const LEAD: Span = Span::from_millis(200);
+/// And waits so long for somebody who listens, so that nothing of it is missing in the site's recording.
+const AUDIENCE_TIMEOUT: Duration = Duration::from_secs(5);
+/// How often it looks for them.
+const AUDIENCE_EVERY: Duration = Duration::from_millis(20);
 /// A driver's useless messages are told at most so often.
 const COMPLAIN_EVERY: Span = Span::from_millis(1000);
 
@@ -85,6 +90,13 @@ pub enum SourceError {
 pub(super) enum Prepared {
     Zenoh,
     Played(Box<dyn Iterator<Item = Arrival> + Send>),
+}
+
+/// What a source shares with the rest of the peer.
+pub(super) struct Surroundings {
+    pub(super) outlets: Outlets,
+    pub(super) clock: Clock,
+    pub(super) counters: Arc<Counters>,
 }
 
 /// A source at work.
@@ -162,10 +174,10 @@ impl Prepared {
         session: &zenoh::Session,
         machine: &config::Machine,
         inlet: Inlet,
-        outlets: Outlets,
-        clock: Clock,
-        counters: Arc<Counters>,
+        surroundings: Surroundings,
+        audience: watch::Receiver<bool>,
     ) -> Result<Feed, MachineError> {
+        let Surroundings { outlets, clock, counters } = surroundings;
         match self {
             Prepared::Zenoh => {
                 let drivers = Drivers { inlet, outlets, clock, counters, complaints: Mutex::default() };
@@ -175,7 +187,9 @@ impl Prepared {
                 let (stop, stopped) = sync_channel(1);
                 let (end, ended) = oneshot::channel();
                 let play = move || {
-                    play(arrivals, &inlet, &clock, &stopped);
+                    if wait_for(&audience, &stopped) {
+                        play(arrivals, &inlet, &clock, &stopped);
+                    }
                     // Nobody need wait for the end.
                     let _ = end.send(());
                 };
@@ -185,6 +199,18 @@ impl Prepared {
             }
         }
     }
+}
+
+/// Waits until somebody listens, though not for ever: a machine works without its site. False if told to stop.
+fn wait_for(audience: &watch::Receiver<bool>, stopped: &Receiver<()>) -> bool {
+    let mut waited = Duration::ZERO;
+    while !*audience.borrow() && waited < AUDIENCE_TIMEOUT {
+        match stopped.recv_timeout(AUDIENCE_EVERY) {
+            Err(RecvTimeoutError::Timeout) => waited += AUDIENCE_EVERY,
+            Ok(()) | Err(RecvTimeoutError::Disconnected) => return false,
+        }
+    }
+    true
 }
 
 /// Hands readings over when their time has come, until told to stop or the pipeline has ended.

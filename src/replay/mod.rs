@@ -9,7 +9,7 @@ mod summary;
 use std::io;
 
 pub use outputs::Outputs;
-pub use summary::{Distribution, Moments, Outage, Summary, Tally};
+pub use summary::{Distribution, Moments, Outage, Summary, Tally, Times};
 
 use crate::estimator::{Estimator, Options};
 use crate::sensors::{Arrival, Reading};

@@ -107,6 +107,7 @@ impl Default for Times {
 }
 
 impl Times {
+    /// Counts one.
     pub fn note(&mut self, nanos: u64) {
         let octave = 63 - nanos.max(64).leading_zeros() as usize;
         let place = ((nanos.max(64) >> (octave - 6)) & 63) as usize;
@@ -115,6 +116,11 @@ impl Times {
         self.sum += nanos as f64;
         self.sum_of_squares += (nanos as f64).powi(2);
         self.max = self.max.max(nanos);
+    }
+
+    /// How many were counted.
+    pub fn count(&self) -> u64 {
+        self.count
     }
 
     fn quantile_us(&self, quantile: f64) -> f64 {
@@ -131,6 +137,7 @@ impl Times {
         0.0
     }
 
+    /// What was counted so far; zeros if nothing was.
     pub fn distribution(&self) -> Distribution {
         if self.count == 0 {
             return Distribution::default();

@@ -12,6 +12,7 @@ mod gnss;
 mod jet;
 mod motion;
 mod path;
+mod recording;
 mod rigid;
 mod scenario;
 mod sensor;
@@ -21,6 +22,7 @@ mod write;
 #[cfg(test)]
 mod tests;
 
+pub use recording::write_recording;
 pub use rigid::RigidMotion;
 pub use scenario::{Action, GnssCondition, GnssConditionKind, Machine, Scenario, ScenarioFile};
 pub use specification::{CabinTurn, Gnss, Imu, LidarOdometry, Sensors};

@@ -142,8 +142,16 @@ fn on_publication(fleet: &mut Fleet, inbound: &Inbound) -> Result<(), WireError>
         stamp: attachment.stamp,
         sent: attachment.sent,
     };
-    if fleet.receive(machine, fleet_topic(*topic), &publication, *received) != Receipt::Accepted {
-        return Ok(());
+    match fleet.receive(machine, fleet_topic(*topic), &publication, *received) {
+        Receipt::Accepted => {}
+        Receipt::Rival => {
+            let boot = attachment.boot;
+            tracing::warn!(
+                "two machines have the id {machine}: what the one of boot {boot} says is not used"
+            );
+            return Ok(());
+        }
+        Receipt::OldBoot | Receipt::TooManyMachines => return Ok(()),
     }
     match topic {
         Topic::Pose => fleet.pose(machine, pose_sample(&Odometry::decode(payload)?)?, *received),

@@ -18,7 +18,7 @@ pub use cdr::{CdrError, CdrReader, CdrWriter};
 pub use convert::{decode_reading, encode_reading, odom_message, pose_message};
 pub use keys::{Key, KeyError, alive_key, alive_selector, topic_key, topic_selector};
 pub use messages::{Header, Imu, JointState, NavSatFix, NavSatStatus, Odometry, RosMessage};
-pub use report::{MachineReport, Origin, RigidMotion, decode_event, decode_report, encode_json};
+pub use report::{Latency, MachineReport, Origin, RigidMotion, decode_event, decode_report, encode_json};
 pub use schema::{Schema, schema_of};
 pub use topic::Topic;
 

@@ -34,6 +34,18 @@ pub struct RigidMotion {
     pub quaternion_xyzw: [f64; 4],
 }
 
+/// How long something takes.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "shells", derive(utoipa::ToSchema))]
+pub struct Latency {
+    /// Mean, µs.
+    pub mean_us: f64,
+    /// 99th percentile, µs.
+    pub p99_us: f64,
+    /// Longest, µs.
+    pub max_us: f64,
+}
+
 /// Topic `health`: everything one needs to know of a machine; each message stands for itself.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "shells", derive(utoipa::ToSchema))]
@@ -54,6 +66,10 @@ pub struct MachineReport {
     pub world_from_odom: Option<RigidMotion>,
     /// From the newest estimate to this message, by the machine's clock, s; `null` before the start.
     pub estimate_age_s: Option<f64>,
+    /// From an IMU sample to its estimate, over the last second or so; `null` before the start, and from
+    /// software that does not tell.
+    #[serde(default)]
+    pub prediction: Option<Latency>,
     /// State of the estimator.
     pub health: Health,
 }
@@ -139,6 +155,7 @@ mod tests {
             },
             world_from_odom: None,
             estimate_age_s: None,
+            prediction: Some(Latency { mean_us: 1.5, p99_us: 4.0, max_us: 20.0 }),
             health: Health {
                 stamp_ns: 1,
                 mode: Mode::Initializing,

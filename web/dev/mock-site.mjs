@@ -101,6 +101,7 @@ function machine(id, now_ms) {
         : {
             stamp: rfc3339(Math.round(now_ms - age_s * 1000)),
             age_s,
+            fresh_s: 0.5,
             position_m: position,
             latitude_deg: WORLD.latitude_deg + position[1] / 111_195,
             longitude_deg: WORLD.longitude_deg + position[0] / 75_350,

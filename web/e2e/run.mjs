@@ -17,6 +17,8 @@ import { Watched } from "./page.mjs";
 
 /** From the first reading to trusted fixes, machines take their static seconds and their good fixes in a row. */
 const FIXED_WITHIN_MS = 60_000;
+/** One of the demo's machines loses its fixes within this time. */
+const HOLDING_WITHIN_MS = 75_000;
 /** A killed machine shows as offline within this time. */
 const OFFLINE_WITHIN_MS = 2_000;
 /** All processes end, and the recording is closed, within this time. */
@@ -124,7 +126,20 @@ async function live(origin) {
     await details.locator(".sensors tbody th", { hasText: "Cabin IMU" }).waitFor({ timeout: 5_000 });
     return (await details.locator(".history canvas").count()) === 1;
   });
+
+  // The demo's first outage begins after 42 s; until then the tails and the plots have something to show.
+  await checks.check("a machine without GNSS says HOLDING: how long, how far, how sure", async () => {
+    await watched.until(
+      () =>
+        [...document.querySelectorAll(".card .state-word")].some((word) =>
+          /^HOLDING 0:1\d, [\d.]+ m, [\d.]+ cm$/.test(word.textContent),
+        ),
+      undefined,
+      HOLDING_WITHIN_MS,
+    );
+  });
   await watched.screenshot(options.screenshots, "live");
+  if (options.screenshots !== undefined) await otherLooks(watched);
 
   await checks.check("follow keeps the machine in the middle", async () => {
     await page.getByRole("button", { name: "Follow", exact: true }).click();
@@ -182,7 +197,7 @@ async function live(origin) {
     return phone.page.evaluate(() => document.documentElement.scrollWidth <= window.innerWidth);
   });
   await painted(phone.page);
-  await phone.screenshot(options.screenshots, "phone");
+  await phone.screenshot(options.screenshots, "phone-fresh");
   await phone.close();
 
   await killOne(watched);
@@ -194,6 +209,22 @@ async function live(origin) {
       nothing(complaints),
     );
   }
+}
+
+/** The same page with its tails, in the dark and on a phone, for the README. */
+async function otherLooks(watched) {
+  const { page } = watched;
+  const before = page.viewportSize();
+  const settle = () => page.waitForTimeout(1_500);
+  await page.emulateMedia({ colorScheme: "dark" });
+  await settle();
+  await watched.screenshot(options.screenshots, "dark");
+  await page.emulateMedia({ colorScheme: "light" });
+  await page.setViewportSize({ width: 390, height: 844 });
+  await settle();
+  await watched.screenshot(options.screenshots, "phone");
+  await page.setViewportSize(before);
+  await settle();
 }
 
 async function killOne(watched) {

@@ -9,6 +9,7 @@ export function poseView(changes: Partial<PoseView> = {}): PoseView {
   return {
     stamp: TIME,
     age_s: 0.05,
+    fresh_s: 0.5,
     position_m: [10.5, 4.0, 1.5],
     latitude_deg: 47.48,
     longitude_deg: 8.5,

@@ -280,7 +280,7 @@ fn written_scenario_reads_back_as_it_was_simulated() {
         let intervals =
             crate::import::read_intervals(&out.join(id).join("gnss_truth.csv")).expect("readable");
         let names: Vec<&str> = intervals.iter().map(|one| one.condition.as_str()).collect();
-        assert_eq!(names, if index == 0 { vec!["good", "blocked"] } else { vec!["good"] });
+        assert_eq!(names, if index == 0 { vec!["good", "blocked", "good"] } else { vec!["good"] });
         assert_eq!(intervals[names.len() - 1].end, Stamp::from_seconds(70.0));
     }
     std::fs::remove_dir_all(&out).expect("removed");

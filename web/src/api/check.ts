@@ -135,6 +135,7 @@ const ellipse95 = object<Ellipse95>({ semi_major_m: number, semi_minor_m: number
 const pose = object<PoseView>({
   stamp: time,
   age_s: number,
+  fresh_s: number,
   position_m: vector3,
   latitude_deg: number,
   longitude_deg: number,

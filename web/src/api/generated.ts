@@ -402,6 +402,11 @@ export interface components {
             ellipse95: components["schemas"]["Ellipse95"];
             /**
              * Format: double
+             * @description Older than this it is old, s: three times the usual time between two poses, half a second at least.
+             */
+            fresh_s: number;
+            /**
+             * Format: double
              * @description Of the cabin's x axis: 0 is the site's north, clockwise, [0, 360).
              */
             heading_deg: number;

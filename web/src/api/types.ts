@@ -57,6 +57,8 @@ export interface Ellipse95 {
 export interface PoseView {
   stamp: string;
   age_s: number;
+  /** Older than this it is old. */
+  fresh_s: number;
   /** Of the cabin IMU: the body whose position is estimated; east, north, up. */
   position_m: Vector3;
   latitude_deg: number;

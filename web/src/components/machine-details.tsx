@@ -1,7 +1,7 @@
 /** Everything the site says about one machine: numbers, the last minute, sensors, the outage. */
 
 import type { OutageReport, PoseView } from "../api/types";
-import { HEALTH_FRESH_S, healthAge_s, POSE_FRESH_S, poseAge_s } from "../store/freshness";
+import { HEALTH_FRESH_S, healthAge_s, poseAge_s, poseFresh_s } from "../store/freshness";
 import type { Machine, State } from "../store/store";
 import { useSpeech } from "../text";
 import { Field } from "./field";
@@ -38,7 +38,7 @@ export function MachineDetails({ machine, state }: DetailsProps) {
 function Numbers({ machine, state }: DetailsProps) {
   const { text, format } = useSpeech();
   const { pose, health, link, boot } = machine.view;
-  const poseAge = { age_s: poseAge_s(state, machine), fresh_s: POSE_FRESH_S };
+  const poseAge = { age_s: poseAge_s(state, machine), fresh_s: poseFresh_s(machine) };
   const healthAge = { age_s: healthAge_s(state, machine), fresh_s: HEALTH_FRESH_S };
   const worst = health?.report ?? null;
   return (

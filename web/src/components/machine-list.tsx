@@ -1,17 +1,18 @@
 /** All machines with one plain state word each; the accessible twin of the plan. */
 
+import type { Health } from "../api/types";
 import { useDesk } from "../store/context";
 import {
   HEALTH_FRESH_S,
   healthAge_s,
   isStale,
-  POSE_FRESH_S,
   poseAge_s,
+  poseFresh_s,
   shownSeverity,
 } from "../store/freshness";
 import type { Machine, State } from "../store/store";
 import { horizontalSigma_m } from "../store/trace";
-import { useSpeech } from "../text";
+import { type Text, useSpeech } from "../text";
 import { Field } from "./field";
 import { SeverityIcon } from "./icons";
 import { MachineDetails } from "./machine-details";
@@ -43,13 +44,19 @@ interface CardProps {
   state: State;
 }
 
+/** What the estimate rests on; a machine without a lidar does not claim one. */
+function restsOn({ mode, sensors }: Health, text: Text): string {
+  const lidar = sensors.some(({ sensor, received }) => sensor === "lidar_odometry" && received > 0);
+  return mode === "main" && !lidar ? text.mainWithoutLidar : text.mode[mode];
+}
+
 function MachineCard({ id, machine, state }: CardProps) {
   const { choices } = useDesk();
   const { text, format } = useSpeech();
   const { view } = machine;
   const { pose, health } = view;
   const selected = choices.selected.value === id;
-  const poseAge = { age_s: poseAge_s(state, machine), fresh_s: POSE_FRESH_S };
+  const poseAge = { age_s: poseAge_s(state, machine), fresh_s: poseFresh_s(machine) };
   const healthAge = { age_s: healthAge_s(state, machine), fresh_s: HEALTH_FRESH_S };
   const severity = shownSeverity(state, machine);
   const classes = ["card", `card-${severity}`];
@@ -95,7 +102,7 @@ function MachineCard({ id, machine, state }: CardProps) {
           {health === null ? text.fields.unknown : text.gnss[health.report.gnss]}
         </Field>
         <Field name={text.fields.mode} {...healthAge}>
-          {health === null ? text.fields.unknown : text.mode[health.report.mode]}
+          {health === null ? text.fields.unknown : restsOn(health.report, text)}
         </Field>
         <Field name={text.fields.heading} {...poseAge}>
           {format.bearing(pose?.heading_deg ?? null)}

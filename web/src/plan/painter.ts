@@ -22,6 +22,8 @@ const SCALE_BAR_PX = 140;
 const LABEL_LIFT_M = 2.6;
 const LABEL_LIFT_MIN_PX = 26;
 const LABEL_LIFT_MAX_PX = 110;
+/** With a little room. */
+const LABEL_HEIGHT_PX = 30;
 
 export interface Label {
   id: string;
@@ -58,6 +60,8 @@ export class PlanPainter {
   private moving = false;
   /** How many machines the last fit was for. */
   private fitted = 0;
+  /** What was drawn last: nothing is drawn again while all of it stays. */
+  private drawn: readonly unknown[] = [];
   private covered: { extent: Extent; step_m: number } | null = null;
 
   constructor(
@@ -125,23 +129,33 @@ export class PlanPainter {
   private paint(): void {
     const state = this.desk.store.state.value;
     this.moving = true;
-    this.moveCamera(state);
+    const moved = this.moveCamera(state);
     this.moving = false;
     const selected = this.desk.choices.selected.value;
     const metresPerPixel = this.view.metresPerPixel();
+    const stale = [...state.machines.values()].map((machine) => isStale(state, machine)).join();
+    const wanted = [state.machines, state.link.phase, selected, this.palette, metresPerPixel, stale];
+    // Time passes more often than anything changes.
+    if (!moved && wanted.every((value, index) => value === this.drawn[index])) return;
+    this.drawn = wanted;
     this.view.draw(buildShapes(state, { palette: this.palette, metresPerPixel, selected }));
     this.layFurniture(state);
   }
 
-  private moveCamera(state: State): void {
+  /** Whether the camera was moved. */
+  private moveCamera(state: State): boolean {
     const { selected, following } = this.desk.choices;
     const pose = state.machines.get(selected.value ?? "")?.view.pose ?? null;
     if (following.value && pose !== null) {
       this.keepAllInSight = false;
       this.view.centreOn(axisOf(pose));
-    } else if (this.keepAllInSight && !this.allInSight(state)) {
-      this.fitNow(state);
+      return true;
     }
+    if (this.keepAllInSight && !this.allInSight(state)) {
+      this.fitNow(state);
+      return true;
+    }
+    return false;
   }
 
   private allInSight(state: State): boolean {
@@ -175,9 +189,10 @@ export class PlanPainter {
     const width_px = this.view.toPixels(max)[0];
     const body_px = LABEL_LIFT_M / this.view.metresPerPixel();
     const lift_px = Math.min(LABEL_LIFT_MAX_PX, Math.max(LABEL_LIFT_MIN_PX, body_px));
-    return [...state.machines].flatMap(([id, machine]) => {
+    const placed: (Label & { half_px: number })[] = [];
+    for (const [id, machine] of state.machines) {
       const { pose, name, state_word: word } = machine.view;
-      if (pose === null) return [];
+      if (pose === null) continue;
       const [x, y] = this.view.toPixels(axisOf(pose));
       const stale = isStale(state, machine);
       const severity = shownSeverity(state, machine);
@@ -185,8 +200,16 @@ export class PlanPainter {
       const half_px = 30 + 3.4 * (name.length + word.length);
       const inside_px = Math.max(Math.min(x, width_px - half_px), half_px);
       const selected = id === this.desk.choices.selected.value;
-      return [{ id, name, word, severity, stale, selected, x: inside_px, y: y - lift_px }];
-    });
+      const label = { id, name, word, severity, stale, selected, x: inside_px, y: y - lift_px, half_px };
+      // Machines that stand close together: one label above the other.
+      let below = placed.find((other) => overlap(label, other));
+      for (let step = 0; below !== undefined && step < placed.length; step += 1) {
+        label.y = below.y - LABEL_HEIGHT_PX;
+        below = placed.find((other) => overlap(label, other));
+      }
+      placed.push(label);
+    }
+    return placed;
   }
 
   private gridLabels(extent: Extent, step_m: number): GridLabel[] {
@@ -215,6 +238,18 @@ export class PlanPainter {
     this.covered = { extent: wide, step_m };
     this.view.drawGrid(gridLines(wide, step_m));
   }
+}
+
+interface Placed {
+  x: number;
+  y: number;
+  half_px: number;
+}
+
+function overlap(one: Placed, other: Placed): boolean {
+  return (
+    Math.abs(one.x - other.x) < one.half_px + other.half_px && Math.abs(one.y - other.y) < LABEL_HEIGHT_PX
+  );
 }
 
 function around([east, north]: Metres, room_m: number): Extent {

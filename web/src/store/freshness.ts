@@ -7,13 +7,18 @@
 import type { Severity } from "../api/types";
 import { ageNow_s, type Machine, type State } from "./store";
 
-/** Poses come many times a second. */
-export const POSE_FRESH_S = 0.5;
+/** Where no pose has come yet, so that nothing can be said of its age. */
+const POSE_FRESH_S = 0.5;
 /** Health comes once a second. */
 export const HEALTH_FRESH_S = 2.5;
 
 export function poseAge_s(state: State, { view, received_ms }: Machine): number | null {
   return view.pose === null ? null : ageNow_s(view.pose.age_s, received_ms, state.now_ms);
+}
+
+/** How old a machine's pose may be: the site says it, by the pace at which the machine sends. */
+export function poseFresh_s({ view }: Machine): number {
+  return view.pose?.fresh_s ?? POSE_FRESH_S;
 }
 
 export function healthAge_s(state: State, { view, received_ms }: Machine): number | null {
@@ -31,6 +36,6 @@ export function shownSeverity(state: State, { view }: Machine): Severity {
 }
 
 function oldPose(state: State, machine: Machine): boolean {
-  // The site calls a pose stale at half a second; the page only steps in when the site says nothing more.
-  return (poseAge_s(state, machine) ?? 0) > 4 * POSE_FRESH_S;
+  // The site says when a pose is stale; the page only steps in when the site says nothing more.
+  return (poseAge_s(state, machine) ?? 0) > 4 * poseFresh_s(machine);
 }

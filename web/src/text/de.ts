@@ -73,6 +73,7 @@ export const de: Text = {
     fallback: "Lidar + IMU",
     imu_only: "nur IMU",
   },
+  mainWithoutLidar: "GNSS + IMU",
   sensor: {
     imu: "IMU Oberwagen",
     base_imu: "IMU Unterwagen",

@@ -71,6 +71,7 @@ export const en = {
     fallback: "lidar + IMU",
     imu_only: "IMU alone",
   },
+  mainWithoutLidar: "GNSS + IMU",
   sensor: {
     imu: "Cabin IMU",
     base_imu: "Chassis IMU",

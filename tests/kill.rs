@@ -1,0 +1,332 @@
+//! Whatever is killed, whenever: what was recorded opens, and at most a second of it is missing.
+//!
+//! `HOLDFAST_KILL_SEED` repeats a run whose failure printed its seed.
+#![cfg(all(feature = "shells", target_os = "linux"))]
+#![allow(clippy::disallowed_methods, reason = "tests kill processes, which take real time")]
+
+use std::collections::BTreeMap;
+use std::io::{BufRead as _, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use holdfast::record::{self, FileState, RecordWriter, Recorded};
+use holdfast::time::{Span, Stamp};
+use holdfast::wire::Topic;
+
+/// Nothing in here takes so long unless it is broken.
+const PATIENCE: Duration = Duration::from_secs(30);
+/// Chunks reach the disk within a second; the rest is for a busy computer.
+const LOST_AT_MOST: Span = Span::from_millis(1_300);
+/// What a killed machine had handed over, but not sent.
+const UNSENT_AT_MOST: Span = Span::from_millis(500);
+/// Machines speak, and their first words are on the disk, so long after the start, on a busy computer too.
+const QUIET_AT_MOST: Duration = Duration::from_millis(2_800);
+
+/// Seeded dice, as good as killing needs (SplitMix64).
+struct Dice(u64);
+
+impl Dice {
+    fn seeded() -> Self {
+        let told = std::env::var("HOLDFAST_KILL_SEED").ok().and_then(|text| text.parse().ok());
+        let seed = told.unwrap_or_else(|| now().as_nanos().unsigned_abs());
+        println!("HOLDFAST_KILL_SEED={seed}");
+        Self(seed)
+    }
+
+    fn below(&mut self, end: u64) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mixed = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        (mixed ^ (mixed >> 31)) % end
+    }
+
+    fn millis(&mut self, from: u64, to: u64) -> Duration {
+        Duration::from_millis(from + self.below(to - from))
+    }
+}
+
+fn now() -> Stamp {
+    let since_epoch = SystemTime::now().duration_since(UNIX_EPOCH).expect("after 1970");
+    Stamp::from_nanos(i64::try_from(since_epoch.as_nanos()).expect("before 2262"))
+}
+
+/// A folder that goes with the test.
+struct Folder(PathBuf);
+
+impl Folder {
+    fn new(name: &str) -> Self {
+        let path = std::env::temp_dir().join(format!("holdfast-kill-{name}-{}", std::process::id()));
+        std::fs::create_dir_all(&path).expect("a temporary folder");
+        Self(path)
+    }
+
+    /// All recordings, oldest first.
+    fn recordings(&self) -> Vec<PathBuf> {
+        let Ok(sessions) = std::fs::read_dir(self.0.join("sessions")) else { return Vec::new() };
+        let files = sessions.flatten().map(|entry| {
+            let id = entry.file_name().into_string().expect("ids are text");
+            entry.path().join(format!("{id}-0000.mcap"))
+        });
+        let mut files: Vec<PathBuf> = files.filter(|file| file.is_file()).collect();
+        files.sort_by_key(|file| {
+            std::fs::metadata(file).and_then(|about| about.created()).expect("a birth time")
+        });
+        files
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+/// A process of ours; it does not outlive the test.
+struct Process(Child);
+
+impl Process {
+    fn kill(&mut self) {
+        self.0.kill().expect("SIGKILL");
+        self.0.wait().expect("ended");
+    }
+
+    fn end(&mut self) {
+        let id = i32::try_from(self.0.id()).expect("a process id");
+        // SAFETY: a signal to a process that this test started and has not waited for.
+        assert_eq!(unsafe { libc::kill(id, libc::SIGTERM) }, 0);
+        let deadline = Instant::now() + PATIENCE;
+        while self.0.try_wait().expect("waited").is_none() {
+            assert!(Instant::now() < deadline, "does not end");
+            std::thread::sleep(Duration::from_millis(10));
+        }
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+fn repository(path: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
+}
+
+fn site(folder: &Folder) -> Process {
+    let config = folder.0.join("site.toml");
+    let text = std::fs::read_to_string(repository("config/site.toml")).expect("a site file");
+    std::fs::write(&config, text.replace("tcp/127.0.0.1:7447", "tcp/127.0.0.1:0")).expect("written");
+    let mut command = Command::new(env!("CARGO_BIN_EXE_holdfast"));
+    command.arg("site").arg("--config").arg(config).arg("--data").arg(&folder.0);
+    command.args(["--listen", "127.0.0.1:0"]).stdout(Stdio::piped()).stderr(Stdio::null());
+    Process(command.spawn().expect("starts"))
+}
+
+/// Waits until the site listens; returns where.
+fn endpoint(site: &mut Process) -> String {
+    let lines = BufReader::new(site.0.stdout.take().expect("piped")).lines();
+    let mut said = lines.map(|line| line.expect("text"));
+    said.find_map(|line| line.strip_prefix("zenoh ").map(str::to_owned)).expect("the site starts")
+}
+
+fn machine(id: &str, endpoint: &str) -> Process {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_holdfast"));
+    command.arg("machine").arg("--scenario").arg(repository("config/scenarios/demo.toml"));
+    command.args(["--machine", id, "--connect", endpoint]).stderr(Stdio::null());
+    Process(command.spawn().expect("starts"))
+}
+
+/// What is in a recording: all of it is read, and must be as many messages as the file says.
+struct Content {
+    state: FileState,
+    messages: u64,
+    last_received: BTreeMap<String, Stamp>,
+}
+
+fn open(path: &Path) -> Content {
+    let summary = record::inspect(path).unwrap_or_else(|error| panic!("{error}"));
+    let mut content = Content { state: summary.state, messages: 0, last_received: BTreeMap::new() };
+    let mut messages = record::read_messages(path).expect("opens");
+    for message in messages.by_ref() {
+        let message = message.expect("reads");
+        content.messages += 1;
+        let last = content.last_received.entry(message.machine).or_insert(message.received);
+        *last = (*last).max(message.received);
+    }
+    assert_eq!(messages.lost_bytes(), 0, "{}", path.display());
+    assert_eq!(content.messages, summary.messages, "{}", path.display());
+    content
+}
+
+/// Waits until somebody has made all these files proper ones.
+fn recovered(files: &[PathBuf]) {
+    let deadline = Instant::now() + PATIENCE;
+    while !files.iter().all(|file| record::inspect(file).is_ok()) {
+        assert!(Instant::now() < deadline, "not recovered");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Victim {
+    Site,
+    Machine,
+    Both,
+}
+
+const VICTIMS: [Victim; 3] = [Victim::Site, Victim::Machine, Victim::Both];
+const MACHINES: [&str; 2] = ["walker-1", "walker-2"];
+
+/// One round, and what must be true of its recording.
+struct Killed {
+    round: u32,
+    victim: Victim,
+    path: PathBuf,
+    at: Stamp,
+    /// Whether the machines had time to speak for longer than what may be missing.
+    spoke: bool,
+}
+
+impl Killed {
+    fn check(&self) {
+        let Self { round, victim, path, at, spoke } = self;
+        let content = open(path);
+        let lacks = |id| content.last_received.get(id).map(|last| (*at - *last).as_seconds());
+        println!(
+            "round {round}: {victim:?} killed: {}, {} messages, lacks {:?}",
+            content.state.name(),
+            content.messages,
+            MACHINES.map(lacks)
+        );
+        assert_eq!(*victim == Victim::Machine, content.state == FileState::Complete, "round {round}");
+        let limit = if *victim == Victim::Machine { UNSENT_AT_MOST } else { LOST_AT_MOST };
+        if *spoke {
+            let is_short = |id| lacks(id).is_some_and(|lack_s| lack_s <= limit.as_seconds());
+            assert!(MACHINES.into_iter().all(is_short), "round {round}");
+        }
+    }
+}
+
+#[test]
+fn whoever_is_killed_at_whatever_moment_the_recording_opens_and_lacks_a_second_at_most() {
+    let mut dice = Dice::seeded();
+    let folder = Folder::new("rounds");
+    let mut unrecovered: Option<Killed> = None;
+    for round in 0..8 {
+        let earlier = folder.recordings();
+        let mut site = site(&folder);
+        let endpoint = endpoint(&mut site);
+        let mut machines = MACHINES.map(|id| machine(id, &endpoint));
+        // Half of the time while everything starts, half of the time while everything runs.
+        let wait = if round % 2 == 0 { dice.millis(50, 1_500) } else { dice.millis(3_000, 4_500) };
+        std::thread::sleep(wait);
+        let killed = now();
+        let victim = VICTIMS[dice.below(3) as usize];
+        if victim != Victim::Site {
+            machines[0].kill();
+        }
+        if victim == Victim::Machine {
+            // The other machine goes on, and the recording is closed properly.
+            std::thread::sleep(Duration::from_millis(300));
+            site.end();
+        } else {
+            site.kill();
+        }
+        drop(machines);
+        recovered(&earlier);
+        if let Some(before) = unrecovered.take() {
+            before.check();
+        }
+        let mut made = folder.recordings();
+        made.retain(|file| !earlier.contains(file));
+        let [path] = made.as_slice() else { panic!("round {round}: one session a start, not {made:?}") };
+        let path = path.clone();
+        let this = Killed { round, victim, path, at: killed, spoke: wait > QUIET_AT_MOST };
+        // Every other time the next start of the site recovers it.
+        if victim == Victim::Machine {
+            this.check();
+        } else if dice.below(2) == 0 {
+            record::recover(&this.path).expect("recovers");
+            this.check();
+        } else {
+            unrecovered = Some(this);
+        }
+    }
+    if let Some(last) = unrecovered {
+        record::recover(&last.path).expect("recovers");
+        last.check();
+    }
+    for file in folder.recordings() {
+        assert!(matches!(
+            open(&file).state,
+            FileState::Complete | FileState::Recovered | FileState::Truncated
+        ));
+    }
+}
+
+#[test]
+fn site_killed_while_it_starts_leaves_nothing_that_does_not_open() {
+    let mut dice = Dice::seeded();
+    let folder = Folder::new("start");
+    for _ in 0..8 {
+        let mut site = site(&folder);
+        std::thread::sleep(dice.millis(0, 120));
+        site.kill();
+    }
+    let torn = folder.recordings();
+    let mut site = site(&folder);
+    endpoint(&mut site);
+    recovered(&torn);
+    site.end();
+    for file in folder.recordings() {
+        assert_eq!(open(&file).messages, 0);
+    }
+}
+
+#[test]
+fn site_killed_while_it_recovers_has_lost_nothing_and_recovers_at_the_next_start() {
+    const MESSAGES: u64 = 30_000;
+    let mut dice = Dice::seeded();
+    let folder = Folder::new("recovery");
+    let session = folder.0.join("sessions/20260101T000000Z");
+    std::fs::create_dir_all(&session).expect("created");
+    let torn = session.join("20260101T000000Z-0000.mcap");
+    let mut writer = RecordWriter::create(&torn).expect("created");
+    let start = Stamp::from_seconds(1_767_225_600.0);
+    let mut payload = vec![0; 2_000];
+    for sequence in 0..MESSAGES {
+        payload.iter_mut().for_each(|byte| *byte = dice.below(256) as u8);
+        let at = start + Span::from_millis(sequence as i64);
+        let machine = "walker-1".to_owned();
+        let message =
+            Recorded { machine, topic: Topic::Event, sequence, received: at, sent: at, payload: &payload };
+        writer.write(&message).expect("written");
+    }
+    writer.sync().expect("synced");
+    let whole = writer.bytes().expect("a length");
+    writer.finish().expect("finished");
+    // As if the writer had died after its last chunk.
+    std::fs::File::options().write(true).open(&torn).and_then(|file| file.set_len(whole)).expect("cut");
+
+    let beside = session.join("20260101T000000Z-0000.mcap.recovering");
+    let mut interrupted = 0;
+    for _ in 0..3 {
+        let mut site = site(&folder);
+        let deadline = Instant::now() + PATIENCE;
+        while !beside.exists() && record::inspect(&torn).is_err() {
+            assert!(Instant::now() < deadline, "does not begin");
+        }
+        std::thread::sleep(dice.millis(0, 40));
+        site.kill();
+        interrupted += usize::from(beside.exists());
+    }
+    println!("interrupted {interrupted} times");
+    let mut site = site(&folder);
+    recovered(std::slice::from_ref(&torn));
+    site.end();
+    let content = open(&torn);
+    assert_eq!((content.state, content.messages), (FileState::Recovered, MESSAGES));
+    assert!(!beside.exists());
+}
