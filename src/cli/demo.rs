@@ -2,6 +2,7 @@
 
 use std::error::Error;
 use std::fs;
+use std::io::Write as _;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::{ExitStatus, Stdio};
@@ -141,9 +142,9 @@ async fn start(family: &mut Family, folder: &Path, arguments: &Arguments) -> Res
     let mut lines = BufReader::new(stdout).lines();
     let dashboard = said(&mut lines, "dashboard ").await?;
     let endpoint = said(&mut lines, "zenoh ").await?;
-    println!("dashboard {dashboard}");
-    println!("zenoh {endpoint}");
-    println!("data {}", arguments.data.display());
+    let data = arguments.data.display();
+    // Whoever started us may have stopped reading; that is no reason to end.
+    let _ = write!(std::io::stdout(), "dashboard {dashboard}\nzenoh {endpoint}\ndata {data}\n");
 
     for id in machine_ids(folder)? {
         let mut machine = own_command()?;

@@ -51,13 +51,12 @@ async fn serve(config: &config::Site) -> Result<(), Box<dyn Error>> {
     let mut terminate = signal(SignalKind::terminate())?;
     let mut interrupt = signal(SignalKind::interrupt())?;
     let site = Site::start(config).await?;
-    let mut stdout = std::io::stdout().lock();
-    writeln!(stdout, "dashboard http://{}/", site.address())?;
+    let mut said = format!("dashboard http://{}/\n", site.address());
     for endpoint in site.endpoints() {
-        writeln!(stdout, "zenoh {endpoint}")?;
+        said.push_str(&format!("zenoh {endpoint}\n"));
     }
-    stdout.flush()?;
-    drop(stdout);
+    // Whoever started us may have stopped reading; that is no reason to end.
+    let _ = std::io::stdout().write_all(said.as_bytes());
     tokio::select! {
         _ = terminate.recv() => {}
         _ = interrupt.recv() => {}

@@ -99,6 +99,9 @@ impl Machine {
     }
 
     pub fn receive(&mut self, topic: Topic, publication: &Publication, now: Stamp) -> Receipt {
+        if self.succeeds_again(publication.boot, now) {
+            self.retired.retain(|boot| *boot != publication.boot);
+        }
         if self.retired.contains(&publication.boot) {
             self.refused += 1;
             return self.straggler(publication.boot, now);
@@ -111,6 +114,13 @@ impl Machine {
             self.pose_interval.observe(publication.sequence, now);
         }
         Receipt::Accepted
+    }
+
+    /// Whether an earlier boot speaks on while the one that followed it has ended: the second of two machines
+    /// with one id.
+    fn succeeds_again(&self, boot: u64, now: Stamp) -> bool {
+        let current_stands = self.boot.is_some_and(|boot| self.tokens.contains(&boot));
+        self.tokens.contains(&boot) && !current_stands && now - self.boot_since >= RIVAL_AFTER
     }
 
     /// A message of an earlier boot: a straggler, or a second machine if its token stands.

@@ -368,3 +368,16 @@ fn second_machine_with_the_same_id_is_told_and_shown() {
     send_pose(&mut fleet, 2, BOOT + 1, at(5.0));
     assert_ne!(view(&mut fleet, at(5.0)).state_word, "TWO MACHINES HAVE THIS ID");
 }
+
+#[test]
+fn first_of_two_machines_with_one_id_is_back_when_the_second_has_ended() {
+    let mut fleet = fleet();
+    fleet.announce("a", BOOT, at(0.0));
+    send_pose(&mut fleet, 0, BOOT, at(0.1));
+    fleet.announce("a", BOOT + 1, at(0.2));
+    send_pose(&mut fleet, 0, BOOT + 1, at(0.3));
+    fleet.withdraw("a", BOOT + 1, at(2.0));
+    assert_eq!(send_pose(&mut fleet, 20, BOOT, at(2.1)), Receipt::Accepted);
+    assert_eq!(presence(&mut fleet, at(2.1)), Presence::Online);
+    assert_eq!(send_pose(&mut fleet, 1, BOOT + 1, at(2.2)), Receipt::OldBoot);
+}
