@@ -1,0 +1,207 @@
+//! How far off the estimate is, over many seeds: with GNSS, through an outage while digging, through one while
+//! driving, under multipath that the receiver does not report; and whether its covariance is meant.
+//!
+//! `cargo bench --no-default-features --bench accuracy -- [SEEDS]` prints the tables that the README quotes. The
+//! yardstick of an outage is the sum of the lidar's increments with the true heading and the true standstill: what
+//! lidar odometry could do at best, alone.
+
+use std::path::Path;
+
+use holdfast::estimator::Estimator;
+use holdfast::lie::{Se3, Vec3};
+use holdfast::sensors::Reading;
+use holdfast::simulate::{GnssCondition, GnssConditionKind, Scenario, Simulation, Truth};
+use holdfast::state::{Estimate, Mode};
+use holdfast::time::Stamp;
+
+/// What one run of one machine amounts to.
+#[derive(Default)]
+struct Run {
+    good: Errors,
+    outage: Errors,
+    /// Chassis at rest, inside the outage, since its last motion.
+    standing_drift_m: f64,
+    yardstick_m: f64,
+    largest_odom_step_m: f64,
+    largest_odom_turn: f64,
+    correction_cm: Vec<f64>,
+}
+
+/// Errors of position and heading, and squared errors over their variances.
+#[derive(Default)]
+struct Errors {
+    count: f64,
+    position_squared: f64,
+    heading_squared: f64,
+    largest_m: f64,
+    /// x, y, z, and rotations about them.
+    normalized: [f64; 6],
+}
+
+impl Errors {
+    fn note(&mut self, estimate: &Estimate, truth: &Truth) {
+        let position = estimate.state.position - truth.state.position;
+        let rotation = (estimate.state.rotation * truth.state.rotation.inverse()).log();
+        self.count += 1.0;
+        self.position_squared += position.norm_squared();
+        self.heading_squared += rotation.z.powi(2);
+        self.largest_m = self.largest_m.max(position.norm());
+        let sigma = [estimate.position_sigma_m(), estimate.rotation_sigma()].concat();
+        for (axis, error) in position.iter().chain(rotation.iter()).enumerate() {
+            self.normalized[axis] += (error / sigma[axis]).powi(2);
+        }
+    }
+
+    fn rmse_m(&self) -> f64 {
+        (self.position_squared / self.count.max(1.0)).sqrt()
+    }
+
+    fn heading_rmse_deg(&self) -> f64 {
+        (self.heading_squared / self.count.max(1.0)).sqrt().to_degrees()
+    }
+}
+
+/// One machine of a scenario with one seed; the first outage counts.
+fn run(scenario: &Scenario, index: usize) -> Run {
+    let mut simulation = Simulation::new(scenario, index);
+    let mut estimator = Estimator::new(simulation.machine().estimator_options());
+    let outage = &scenario.file.gnss_condition[0];
+    let (begin, end) = (Stamp::from_seconds(outage.start_s), Stamp::from_seconds(outage.end_s));
+    // Trust comes back half a second after the last bad fix.
+    let settled = Stamp::from_seconds(outage.end_s + 1.0);
+    let started = Stamp::from_seconds(12.0);
+    let lidar_on_cabin = *simulation.machine().frames.cabin_from_lidar.pose::<(), ()>().motion();
+    let imu_on_cabin = *simulation.machine().frames.cabin_from_imu.pose::<(), ()>().motion();
+    let imu_from_lidar = imu_on_cabin.inverse() * lidar_on_cabin;
+    let mut result = Run::default();
+    let mut previous: Option<(Estimate, Truth)> = None;
+    let mut lidar_before: Option<(Se3, Truth)> = None;
+    let (mut yardstick, mut yardstick_squared, mut yardstick_count) = (Vec3::zeros(), 0.0, 0.0);
+    let mut standing_since: Option<Vec3> = None;
+    while let Some(arrival) = simulation.next() {
+        let estimate = estimator.predict(&arrival);
+        if let Some(takeover) = estimator.update(&arrival)
+            && let Some(correction_m) = takeover.correction_m
+        {
+            result.correction_cm.push(100.0 * correction_m);
+        }
+        if let Reading::LidarOdometry(pose) = arrival.reading
+            && pose.stamp > begin
+            && pose.stamp < end
+        {
+            let truth = simulation.truth(pose.stamp);
+            let map_from_lidar = *pose.lidarmap_from_lidar.motion();
+            if let Some((before, truth_before)) = &lidar_before {
+                let moved = (truth.base.pose.translation - truth_before.base.pose.translation).norm() > 1e-6;
+                let [from, to] = [truth_before, &truth].map(|truth| truth.imu.pose * imu_from_lidar);
+                let error =
+                    (before.inverse() * map_from_lidar).translation - (from.inverse() * to).translation;
+                if moved {
+                    yardstick += from.rotation * error;
+                }
+                yardstick_squared += yardstick.norm_squared();
+                yardstick_count += 1.0;
+            }
+            lidar_before = Some((map_from_lidar, truth));
+        }
+        let Some(estimate) = estimate else { continue };
+        let truth = simulation.truth(estimate.stamp);
+        let error = estimate.state.position - truth.state.position;
+        if estimate.stamp > begin && estimate.stamp < end {
+            result.outage.note(&estimate, &truth);
+            if truth.base.velocity.norm() > 1e-6 {
+                standing_since = None;
+            } else if estimate.mode != Mode::Main {
+                let reference = *standing_since.get_or_insert(error);
+                result.standing_drift_m = result.standing_drift_m.max((error - reference).norm());
+            }
+        } else if estimate.stamp > started && (estimate.stamp < begin || estimate.stamp > settled) {
+            result.good.note(&estimate, &truth);
+        }
+        if let Some((before, truth_before)) = &previous {
+            let seen = before.odom_from_imu.motion().inverse() * *estimate.odom_from_imu.motion();
+            let real = truth_before.imu.pose.inverse() * truth.imu.pose;
+            let step = real.inverse() * seen;
+            result.largest_odom_step_m = result.largest_odom_step_m.max(step.translation.norm());
+            result.largest_odom_turn = result.largest_odom_turn.max(step.rotation.log().norm());
+        }
+        previous = Some((estimate, truth));
+    }
+    result.yardstick_m = (yardstick_squared / f64::max(yardstick_count, 1.0)).sqrt();
+    result
+}
+
+fn median(values: &mut [f64]) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
+}
+
+fn report(title: &str, runs: &[Run]) {
+    let over = |value: &dyn Fn(&Run) -> f64| {
+        let mut values: Vec<f64> = runs.iter().map(value).collect();
+        let middle = median(&mut values);
+        (middle, values[values.len() - 1])
+    };
+    println!("\n{title}: {} runs, median and largest", runs.len());
+    let line = |what: &str, (middle, largest): (f64, f64), unit: &str| {
+        println!("  {what:<52} {middle:8.3} {largest:8.3} {unit}");
+    };
+    line("position RMSE, GNSS good", over(&|run| 100.0 * run.good.rmse_m()), "cm");
+    line("heading RMSE, GNSS good", over(&|run| run.good.heading_rmse_deg()), "°");
+    line("position RMSE in the outage", over(&|run| 100.0 * run.outage.rmse_m()), "cm");
+    line("largest error in the outage", over(&|run| 100.0 * run.outage.largest_m), "cm");
+    line("yardstick: lidar, true heading and standstill, RMSE", over(&|run| 100.0 * run.yardstick_m), "cm");
+    line("drift while the chassis stands in the outage", over(&|run| 100.0 * run.standing_drift_m), "cm");
+    line("largest step of odom beyond the true motion", over(&|run| 1e3 * run.largest_odom_step_m), "mm");
+    line("largest turn of odom beyond the true motion", over(&|run| run.largest_odom_turn.to_degrees()), "°");
+    let corrections: Vec<f64> = runs.iter().flat_map(|run| run.correction_cm.iter().copied()).collect();
+    let mean = corrections.iter().sum::<f64>() / corrections.len() as f64;
+    let spread =
+        corrections.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / corrections.len() as f64;
+    println!("  update moves the prediction by {mean:.2} ± {:.2} cm", spread.sqrt());
+    for (name, errors) in [("good", 0), ("outage", 1)] {
+        let mut sums = [0.0; 6];
+        let mut count = 0.0;
+        for run in runs {
+            let part = if errors == 0 { &run.good } else { &run.outage };
+            count += part.count;
+            sums.iter_mut().zip(part.normalized).for_each(|(sum, value)| *sum += value);
+        }
+        let nees = sums.map(|sum| format!("{:.2}", sum / count)).join(" ");
+        println!("  NEES per axis (x y z roll pitch yaw), {name:<7} {nees}");
+    }
+}
+
+fn load(name: &str) -> Scenario {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    Scenario::load(&root.join("config/scenarios").join(name)).expect("a valid scenario")
+}
+
+fn seeded(name: &str, kind: GnssConditionKind, start_s: f64, end_s: f64, seeds: u64) -> Vec<Run> {
+    (0..seeds)
+        .flat_map(|seed| {
+            let mut scenario = load(name);
+            scenario.file.seed = 1000 + seed;
+            scenario.file.gnss_condition = vec![GnssCondition { start_s, end_s, kind, machines: Vec::new() }];
+            (0..scenario.machines.len()).map(|index| run(&scenario, index)).collect::<Vec<_>>()
+        })
+        .collect()
+}
+
+fn main() {
+    let seeds = std::env::args().filter_map(|argument| argument.parse().ok()).next().unwrap_or(10);
+    let blocked = GnssConditionKind::Blocked;
+    report(
+        "construction, GNSS blocked from 105 s to 150 s",
+        &seeded("construction.toml", blocked, 105.0, 150.0, seeds),
+    );
+    let multipath = GnssConditionKind::Multipath;
+    report(
+        "construction, multipath of 2 s that reports small sigmas",
+        &seeded("construction.toml", multipath, 60.0, 62.0, seeds),
+    );
+    report(
+        "navigation, GNSS blocked from 220 s to 380 s",
+        &seeded("navigation.toml", blocked, 220.0, 380.0, seeds),
+    );
+}
