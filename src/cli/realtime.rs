@@ -113,6 +113,11 @@ fn work(mut updater: Updater, readings: &Receiver<Arrival>, answers: &SyncSender
             return;
         }
     }
+    updater.finish();
+    let events = updater.take_events();
+    if !events.is_empty() && answers.send(FromUpdater::Events(events)).is_err() {
+        return;
+    }
     let end = FromUpdater::End { health: Box::new(updater.health()), unfit: updater.unfit_readings() };
     // Nobody listens only if the player has failed, and then says so itself.
     let _ = answers.send(end);

@@ -40,6 +40,8 @@ pub(super) struct Guess {
     pub accel_bias: Vec3,
     /// One sigma of the acceleration that an error of the tilt looks like, m/s².
     pub acceleration_sigma: f64,
+    /// One sigma of the gyro bias, rad/s.
+    pub gyro_bias_sigma: f64,
 }
 
 /// The state at the first fix.
@@ -107,6 +109,12 @@ pub(super) fn align(
     let heading_variance =
         (across.transpose() * covariance.fixed_view::<2, 2>(6, 6) * across)[(0, 0)] / (scale * scale);
 
+    // Fixes that fit worse than their sigmas say so of the solution too, and the gyro bias turns the path.
+    let degrees_of_freedom = (2 * fixes.len() - UNKNOWNS).max(1) as f64;
+    let misfit = (residual_squared / (degrees_of_freedom * first.sigma_m.powi(2))).max(1.0);
+    let turned = 0.5 * guess.gyro_bias_sigma * fixes.last()?.stamp.seconds_since(first.stamp);
+    let heading_sigma = (heading_variance * misfit + turned * turned).sqrt();
+
     let (height, climb) = fit_line(
         fixes
             .iter()
@@ -124,7 +132,7 @@ pub(super) fn align(
         gyro_bias: guess.gyro_bias,
         accel_bias: guess.accel_bias,
     };
-    Some(Aligned { stamp: first.stamp, state, heading_sigma: heading_variance.sqrt() })
+    Some(Aligned { stamp: first.stamp, state, heading_sigma })
 }
 
 /// Attitude at `start` with heading zero, from the mean specific force until `end`: good to the machine's own
@@ -247,6 +255,7 @@ mod tests {
                     gyro_bias: Vec3::zeros(),
                     accel_bias: Vec3::zeros(),
                     acceleration_sigma: 0.3,
+                    gyro_bias_sigma: 1.0e-4,
                 };
                 let gravity = Vec3::new(0.0, 0.0, -9.81);
                 let lever_arm = Vec3::new(-0.5, 0.3, 1.8);
@@ -281,6 +290,7 @@ mod tests {
             gyro_bias: Vec3::zeros(),
             accel_bias: Vec3::zeros(),
             acceleration_sigma: 0.1,
+            gyro_bias_sigma: 1.0e-4,
         };
         let aligned = align(&samples, &fixes, &Vec3::new(0.1, 0.0, 0.1), &guess, &Vec3::new(0.0, 0.0, -9.81));
         assert!(aligned.is_none_or(|aligned| aligned.heading_sigma > 0.02), "{aligned:?}");

@@ -412,6 +412,7 @@ impl Initializer {
                 gyro_bias: Vec3::zeros(),
                 accel_bias: Vec3::zeros(),
                 acceleration_sigma: 1.0,
+                gyro_bias_sigma: init.gyro_bias_sigma,
             });
         };
         let turned = |from: Stamp, to: Stamp| -> Option<So3> {
@@ -430,6 +431,7 @@ impl Initializer {
             gyro_bias: level.gyro_bias,
             accel_bias: level.accel_bias,
             acceleration_sigma: 0.05 + init.accel_bias_sigma,
+            gyro_bias_sigma: level.gyro_bias_sigma,
         })
     }
 

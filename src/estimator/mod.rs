@@ -99,6 +99,11 @@ impl Estimator {
         self.updater.health()
     }
 
+    /// No more readings come: tells what was held back for being told too often.
+    pub fn finish(&mut self) {
+        self.updater.finish();
+    }
+
     /// Events since the last call, oldest first.
     pub fn take_events(&mut self) -> Vec<Event> {
         self.updater.take_events()

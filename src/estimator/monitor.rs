@@ -27,10 +27,13 @@ pub(super) struct Monitor {
     update_us: f64,
 }
 
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug, Default)]
 struct Refusals {
     told: Option<Stamp>,
+    /// Since then.
     count: u64,
+    /// Of the newest.
+    reason: String,
 }
 
 impl Default for Monitor {
@@ -95,12 +98,35 @@ impl Monitor {
     pub fn note_refusal(&mut self, now: Stamp, sensor: Sensor, reason: String) {
         let book = &mut self.refusals[sensor as usize];
         book.count += 1;
-        // A clock that went back does not silence the book.
-        if book.told.is_some_and(|told| now >= told && now - told < REFUSALS_EVERY) {
-            return;
+        book.reason = reason;
+        self.tell_refusals(now);
+    }
+
+    /// Tells the refusals of each sensor that has told none for a second.
+    pub fn tell_refusals(&mut self, now: Stamp) {
+        for sensor in Sensor::ALL {
+            let book = &self.refusals[sensor as usize];
+            // A clock that went back does not silence the book.
+            let silent = book.told.is_some_and(|told| now >= told && now - told < REFUSALS_EVERY);
+            if book.count > 0 && !silent {
+                self.tell_refusals_of(sensor, now);
+            }
         }
-        let count = std::mem::take(&mut book.count);
+    }
+
+    /// Tells all that was not told yet.
+    pub fn tell_rest(&mut self, now: Stamp) {
+        for sensor in Sensor::ALL {
+            if self.refusals[sensor as usize].count > 0 {
+                self.tell_refusals_of(sensor, now);
+            }
+        }
+    }
+
+    fn tell_refusals_of(&mut self, sensor: Sensor, now: Stamp) {
+        let book = &mut self.refusals[sensor as usize];
         book.told = Some(now);
+        let (reason, count) = (std::mem::take(&mut book.reason), std::mem::take(&mut book.count));
         self.push(Event::new(now, Severity::Warning, EventKind::Refused { sensor, reason, count }));
     }
 
@@ -192,4 +218,30 @@ fn heading_sigma_deg(state: &NavState, covariance: &StateMatrix) -> f64 {
     let up_in_imu = state.rotation.inverse() * Vec3::z();
     let rotation = covariance.fixed_view::<3, 3>(row::ROTATION, row::ROTATION);
     up_in_imu.dot(&(rotation * up_in_imu)).max(0.0).sqrt().to_degrees()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_refusal_is_told_once_and_at_most_once_a_second() {
+        let mut monitor = Monitor::default();
+        let at = |millis: i64| Stamp::from_nanos(millis * 1_000_000);
+        for millis in (0..=2_500).step_by(10) {
+            monitor.note_refusal(at(millis), Sensor::GnssLeft, format!("reason {millis}"));
+        }
+        monitor.tell_refusals(at(3_200));
+        monitor.note_refusal(at(3_300), Sensor::GnssLeft, "the last".to_owned());
+        monitor.tell_rest(at(3_300));
+        let counts: Vec<u64> = monitor
+            .take_events()
+            .into_iter()
+            .filter_map(|event| match event.what {
+                EventKind::Refused { count, .. } => Some(count),
+                _ => None,
+            })
+            .collect();
+        assert_eq!(counts, [1, 100, 100, 50, 1]);
+    }
 }

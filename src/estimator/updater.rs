@@ -83,6 +83,7 @@ impl Updater {
     /// Takes any reading, in order of arrival. Returns a solution if it led to one.
     pub fn push(&mut self, arrival: &Arrival) -> Option<Box<Solution>> {
         self.now = arrival.arrival;
+        self.monitor.tell_refusals(self.now);
         let reading = arrival.reading;
         let sensor = reading.sensor();
         let previous_imu = self.inbox.newest(Sensor::Imu);
@@ -168,7 +169,7 @@ impl Updater {
         let newest = running.smoother.newest().map_or(imu, |(stamp, _)| stamp);
         if imu - newest > NODE_EVERY {
             let outcome = running.smoother.node_at(imu).map(|_| ());
-            return self.finish(outcome.map(|()| true), imu).or(solution);
+            return self.solve(outcome.map(|()| true), imu).or(solution);
         }
         solution
     }
@@ -208,7 +209,7 @@ impl Updater {
             (false, _) => self.bare_node(fix.stamp),
         };
         let expected = candidate.expected;
-        let solution = self.finish(outcome, fix.stamp);
+        let solution = self.solve(outcome, fix.stamp);
         let corrected = match &self.phase {
             Phase::Running(running) => running.smoother.state_at(fix.stamp),
             Phase::Waiting(_) => None,
@@ -244,7 +245,7 @@ impl Updater {
             return None;
         }
         let outcome = self.add_fix(fix, &lever_arm);
-        self.finish(outcome, fix.stamp)
+        self.solve(outcome, fix.stamp)
     }
 
     /// Ties a node to a fix; the fix is moved by the motion between its stamp and the node's.
@@ -304,7 +305,7 @@ impl Updater {
         let last = last.filter(|last| last.stamp >= oldest && pose.stamp - last.stamp <= LIDAR_GAP_MAX)?;
         let outcome = tie_lidar(&mut running.smoother, &self.options, &last, pose);
         match outcome {
-            Ok(Ok(())) => self.finish(Ok(true), pose.stamp),
+            Ok(Ok(())) => self.solve(Ok(true), pose.stamp),
             Ok(Err(misfit)) => {
                 self.refuse(Sensor::LidarOdometry, misfit);
                 None
@@ -320,7 +321,7 @@ impl Updater {
     }
 
     /// Updates the smoother and makes a solution of its newest node.
-    fn finish(&mut self, outcome: Result<bool, SmootherError>, stamp: Stamp) -> Option<Box<Solution>> {
+    fn solve(&mut self, outcome: Result<bool, SmootherError>, stamp: Stamp) -> Option<Box<Solution>> {
         if outcome == Ok(true) {
             self.tie_chassis();
         }
@@ -419,7 +420,7 @@ impl Updater {
             last_left: None,
             restart: true,
         }));
-        let mut solution = self.finish(Ok(true), start.stamp);
+        let mut solution = self.solve(Ok(true), start.stamp);
         for reading in &start.readings {
             let newest = self.process(reading);
             if let (Some(first), Some(newest)) = (&solution, newest) {
@@ -479,6 +480,11 @@ impl Updater {
     /// gate refused.
     pub fn unfit_readings(&self) -> u64 {
         self.inbox.unfit()
+    }
+
+    /// No more readings come: tells what was held back for being told too often.
+    pub fn finish(&mut self) {
+        self.monitor.tell_rest(self.now);
     }
 
     /// Events since the last call, oldest first.

@@ -58,14 +58,20 @@ pub fn run<E: From<io::Error>>(
             tally.estimates += 1;
             outputs.write_estimate(estimate)?;
         }
-        for event in estimator.take_events() {
-            tally.note_event(&event);
-            outputs.write_event(&event)?;
-        }
+        write_events(&mut estimator, &mut tally, outputs)?;
         if tally.readings.is_multiple_of(4_096) {
             progress(Progress { readings: tally.readings, data_s: tally.data_s() });
         }
     }
+    estimator.finish();
+    write_events(&mut estimator, &mut tally, outputs)?;
     let health = estimator.health();
     Ok(tally.summary(clock() - begun, estimator.unfit_readings(), health))
+}
+
+fn write_events(estimator: &mut Estimator, tally: &mut Tally, outputs: &mut Outputs) -> io::Result<()> {
+    estimator.take_events().iter().try_for_each(|event| {
+        tally.note_event(event);
+        outputs.write_event(event)
+    })
 }
