@@ -193,6 +193,7 @@ fn live(speed: f64, seconds: f64) -> (Times, u64) {
         if estimate.is_some() {
             times.note(nanos);
         }
+        predictor.settle();
         to_updater.send(*arrival).expect("the updater lives as long as its readings come");
     }
     drop(to_updater);

@@ -75,6 +75,7 @@ pub fn run(
             tally.estimates += 1;
             outputs.write_estimate(estimate)?;
         }
+        predictor.settle();
     }
     drop(to_updater);
     let mut end = None;

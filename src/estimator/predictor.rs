@@ -48,6 +48,8 @@ struct Track {
     covariance: StateMatrix,
     /// Since `solution`, for the covariance.
     motion: Preintegration,
+    /// The newest step, if it is not in `motion` yet.
+    unsettled: Option<Step>,
     samples_since_covariance: u32,
 }
 
@@ -124,6 +126,7 @@ impl Predictor {
         };
         let step = Step::between(&previous?, sample);
         let before = track.state;
+        track.settle(&self.options);
         track.advance(&step, sample.stamp, &self.options);
         let increment = relative(&before, &track.state);
         let odom = self.odom_from_imu.get_or_insert_with(|| first_odom(&before));
@@ -142,6 +145,14 @@ impl Predictor {
             covariance,
             mode,
         })
+    }
+
+    /// Does what can wait until an estimate is out: brings the covariance forward. [`Predictor::push`] does it
+    /// first if nobody has; the estimates are the same to the bit.
+    pub fn settle(&mut self) {
+        if let Some(track) = &mut self.track {
+            track.settle(&self.options);
+        }
     }
 
     /// Takes over a solution, between two samples: integrates the samples since its stamp from it.
@@ -164,8 +175,15 @@ impl Predictor {
         }
         let covariance = predict_covariance(&motion, start, &solution.covariance, noise);
         self.samples.forget_before(solution.stamp);
-        self.track =
-            Some(Track { solution, stamp: newest, state, covariance, motion, samples_since_covariance: 0 });
+        self.track = Some(Track {
+            solution,
+            stamp: newest,
+            state,
+            covariance,
+            motion,
+            unsettled: None,
+            samples_since_covariance: 0,
+        });
     }
 
     /// [`Predictor::adopt`], and how far it moved the position.
@@ -215,8 +233,13 @@ impl Predictor {
 impl Track {
     fn advance(&mut self, step: &Step, stamp: Stamp, options: &Options) {
         self.state = propagate(&self.state, step, &options.smoother.gravity);
-        self.motion.add(step, &options.smoother.noise);
         self.stamp = stamp;
+        self.unsettled = Some(*step);
+    }
+
+    fn settle(&mut self, options: &Options) {
+        let Some(step) = self.unsettled.take() else { return };
+        self.motion.add(&step, &options.smoother.noise);
         self.samples_since_covariance += 1;
         if self.samples_since_covariance >= COVARIANCE_EVERY {
             self.samples_since_covariance = 0;

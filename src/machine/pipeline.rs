@@ -140,6 +140,7 @@ impl Predicting {
                 self.outlets.estimate(estimate);
             }
             self.outlets.reading(arrival);
+            self.predictor.settle();
         }
     }
 }
