@@ -11,6 +11,30 @@ pub(crate) fn endpoints(key: &str, texts: &[String]) -> Result<(), Violation> {
     })
 }
 
+/// `Err` with what is wrong, unless every text is an endpoint to listen on that only this computer reaches, or
+/// `unauthenticated` says that whoever else reaches it may be believed. `table` is the table of both keys.
+pub(crate) fn listening(table: &str, texts: &[String], unauthenticated: bool) -> Result<(), Violation> {
+    let key = format!("{table}.listen");
+    endpoints(&key, texts)?;
+    match texts.iter().find(|text| !unauthenticated && !is_loopback(text)) {
+        None => Ok(()),
+        Some(text) => violation(
+            &key,
+            format!(
+                "is {text}, which others can reach, and who dials in is not asked who it is; listen on a loopback \
+                 address, or set {table}.unauthenticated = true on a network that is yours alone"
+            ),
+        ),
+    }
+}
+
+fn is_loopback(text: &str) -> bool {
+    let address = text.split(['?', '#']).next().unwrap_or_default();
+    let host = address.split_once('/').and_then(|(_, at)| at.rsplit_once(':')).map_or("", |(host, _)| host);
+    let host = host.trim_start_matches('[').trim_end_matches(']');
+    host == "localhost" || host.parse::<std::net::IpAddr>().is_ok_and(|address| address.is_loopback())
+}
+
 /// `Err` with what is wrong, unless `text` is an endpoint; options may follow after '?' or '#'.
 ///
 /// # Errors
@@ -40,6 +64,19 @@ mod tests {
         }
         for text in ["", "127.0.0.1:7447", "tcp/host", "tcp/:7447", "tcp/host:70000", "http/host:80"] {
             assert!(endpoint(text).expect_err("no endpoint").contains("tcp/192.168.1.10:7447"), "{text}");
+        }
+    }
+
+    #[test]
+    fn what_others_can_reach_is_refused_unless_asked_for() {
+        let listen = |text: &str, unauthenticated| listening("zenoh", &[text.to_owned()], unauthenticated);
+        for text in ["tcp/127.0.0.1:7447", "tcp/[::1]:0", "tls/localhost:7447"] {
+            assert_eq!(listen(text, false), Ok(()), "{text}");
+        }
+        for text in ["tcp/0.0.0.0:7447", "tcp/192.168.1.10:7447", "tls/site.example:7447", "tcp/[::]:7447"] {
+            let refusal = listen(text, false).expect_err("others can reach it").to_string();
+            assert!(refusal.contains("zenoh.unauthenticated = true"), "{refusal}");
+            assert_eq!(listen(text, true), Ok(()), "{text}");
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::endpoint::endpoints;
+use super::endpoint::{endpoints, listening};
 use super::{Checked, Violation, identifier, positive, violation, within};
 use crate::estimator::{self, GateOptions};
 use crate::frames::geodesy::{Geodetic, SiteFrame};
@@ -196,9 +196,10 @@ pub struct Link {
     pub site: String,
     /// Zenoh endpoints to dial, such as `tcp/127.0.0.1:7447`.
     pub connect: Vec<String>,
-    /// Zenoh endpoints on which drivers may publish readings, such as `tcp/127.0.0.1:7448`; whoever reaches
-    /// them is believed.
+    /// Zenoh endpoints on which drivers may publish readings, such as `tcp/127.0.0.1:7448`.
     pub listen: Vec<String>,
+    /// `listen` may be reached from other computers, and whoever does is believed.
+    pub unauthenticated: bool,
     /// A link with no byte for so long is dead, ms.
     pub lease_ms: u64,
 }
@@ -263,6 +264,7 @@ impl Default for Link {
             site: "site".to_owned(),
             connect: vec!["tcp/127.0.0.1:7447".to_owned()],
             listen: Vec::new(),
+            unauthenticated: false,
             lease_ms: 2_000,
         }
     }
@@ -401,7 +403,7 @@ impl Checked for Machine {
         within("publish.pose_rate_hz", self.publish.pose_rate_hz, 0.1, 2000.0)?;
         identifier("link.site", &self.link.site)?;
         endpoints("link.connect", &self.link.connect)?;
-        endpoints("link.listen", &self.link.listen)?;
+        listening("link", &self.link.listen, self.link.unauthenticated)?;
         within("link.lease_ms", self.link.lease_ms as f64, 100.0, 600_000.0)
     }
 }

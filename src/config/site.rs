@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
-use super::endpoint::endpoints;
+use super::endpoint::listening;
 use super::{Checked, Violation, World, identifier, violation};
 
 /// One site server.
@@ -44,6 +44,8 @@ pub struct Http {
 pub struct Zenoh {
     /// Zenoh endpoints to listen on, such as `tcp/127.0.0.1:7447`.
     pub listen: Vec<String>,
+    /// `listen` may be reached from other computers, and whoever dials in is believed.
+    pub unauthenticated: bool,
 }
 
 /// What is kept.
@@ -64,7 +66,7 @@ impl Default for Http {
 
 impl Default for Zenoh {
     fn default() -> Self {
-        Self { listen: vec!["tcp/127.0.0.1:7447".to_owned()] }
+        Self { listen: vec!["tcp/127.0.0.1:7447".to_owned()], unauthenticated: false }
     }
 }
 
@@ -113,7 +115,7 @@ impl Checked for Site {
                 "is empty, must name an endpoint for the machines, such as tcp/127.0.0.1:7447".to_owned(),
             );
         }
-        endpoints("zenoh.listen", &self.zenoh.listen)
+        listening("zenoh", &self.zenoh.listen, self.zenoh.unauthenticated)
     }
 }
 

@@ -143,7 +143,7 @@ fn missing_imu_file_is_one_error() {
 fn log_that_is_not_there_is_one_error() {
     let bench = Bench::new("no-log");
     let ended = estimate(Path::new("no/such/log"), &bench.machine, &bench.out);
-    assert_one_error(&ended, 1, &["no/such/log"]);
+    assert_one_error(&ended, 2, &["no/such/log"]);
 }
 
 #[test]
