@@ -187,10 +187,12 @@ class Peer:
     def __init__(self, machine, imu, first):
         self.machine, self.imu = machine, imu
         self.parameters = imu_parameters(machine)
-        self.update_ns = 0
+        self.update_ns = self.covariance_ns = 0
         smoother = gtsam.ISAM2Params()
         smoother.relinearizeSkip = 1
         smoother.findUnusedFactorSlots = True
+        # GTSAM's default, Cholesky, gives up on these factors ("indeterminate linear system") once the window slides.
+        smoother.setFactorization("QR")
         smoother.setRelinearizeThreshold(relinearize_thresholds())
         self.smoother = gtsam.IncrementalFixedLagSmoother(machine.lag_s, smoother)
         lidar_sigma = np.repeat(
@@ -301,6 +303,10 @@ class Peer:
         before = time.perf_counter_ns()
         self.smoother.update(graph, values, stamps)
         self.update_ns = time.perf_counter_ns() - before
+        before = time.perf_counter_ns()
+        for variable in (X, V, B):
+            self.smoother.marginalCovariance(variable(self.node))
+        self.covariance_ns = time.perf_counter_ns() - before
         pose = self.smoother.calculateEstimatePose3(X(self.node))
         velocity = self.smoother.calculateEstimateVector(V(self.node))
         self.state = gtsam.NavState(pose, velocity)
@@ -348,6 +354,7 @@ def run_gtsam(machine_path, log, ours, wall_limit_s, keep):
     todo = measurements(log, machine, first["t"])
     # Filled at once, so that the memory curve is that of the smoother.
     update_ns = np.full(len(todo), -1, dtype=np.int64)
+    covariance_ns = np.full(len(todo), -1, dtype=np.int64)
     stamps = np.full(len(todo), -1.0)
     solutions = []
     memory = []
@@ -364,7 +371,7 @@ def run_gtsam(machine_path, log, ours, wall_limit_s, keep):
             next_memory += MEMORY_EVERY_S
         if not peer.take(stamp, kind, value):
             continue
-        update_ns[count], stamps[count] = peer.update_ns, stamp
+        update_ns[count], covariance_ns[count], stamps[count] = peer.update_ns, peer.covariance_ns, stamp
         count += 1
         reached = stamp
         if keep:
@@ -372,6 +379,7 @@ def run_gtsam(machine_path, log, ours, wall_limit_s, keep):
     memory.append((reached, resident_bytes(os.getpid())))
     result = {
         "update_us": statistics(update_ns[:count] / 1e3),
+        "update_and_covariance_us": statistics((update_ns[:count] + covariance_ns[:count]) / 1e3),
         "update_us_by_five_minutes": [
             float(np.mean(update_ns[:count][chosen]) / 1e3)
             for begin in np.arange(0.0, reached, MEMORY_EVERY_S)
@@ -498,6 +506,17 @@ def last_stamp(path):
     return float(lines[-2].split()[0]) if len(lines) > 2 else None
 
 
+def without_chassis(log):
+    """The log without the chassis' sensors, so that ours has no factor that GTSAM has not."""
+    bare = log.parent / f"{log.name}-cabin"
+    bare.mkdir(exist_ok=True)
+    for path in log.iterdir():
+        link = bare / path.name
+        if path.stem not in ("base_imu", "cabin_turn") and not link.exists():
+            link.symlink_to(path.resolve())
+    return bare
+
+
 # --- The run ----------------------------------------------------------------------------------------------
 
 
@@ -525,35 +544,47 @@ def apart(function, *arguments):
 
 def show(results):
     construction = results["construction"]
-    ours, peer = construction["holdfast"], construction["gtsam"]
+    ours, peer, whole = construction["holdfast"], construction["gtsam"], construction["holdfast_with_chassis"]
     print(f"GTSAM {results['gtsam_version']}, lag {results['lag_s']} s, log construction/{MACHINE_ID}\n")
-    print(f"{'':34}{'holdfast':>12}{'GTSAM':>12}{'ratio':>10}")
+    print(f"{'':38}{'holdfast':>12}{'GTSAM':>12}{'ratio':>10}{'holdfast':>14}")
+    print(f"{'':38}{'same factors':>12}{'':>22}{'with chassis':>14}")
 
-    def line(name, left, right, digits):
-        print(f"{name:34}{left:12.{digits}f}{right:12.{digits}f}{right / left:10.1f}")
+    def line(name, left, right, digits, more=None):
+        extra = "" if more is None else f"{more:14.{digits}f}"
+        print(f"{name:38}{left:12.{digits}f}{right:12.{digits}f}{right / left:10.1f}{extra}")
 
     stretch = f"{GOOD_STRETCH_S[0]:.0f} to {GOOD_STRETCH_S[1]:.0f} s"
-    line(f"position RMSE, cm, {stretch}", *(run["accuracy"]["position_rmse_cm"] for run in (ours, peer)), 3)
-    line(f"heading RMSE, deg, {stretch}", *(run["accuracy"]["heading_rmse_deg"] for run in (ours, peer)), 4)
-    for name in ("mean", "p50", "p99"):
-        line(f"time per update, us, {name}", ours["update_us"][name], peer["update_us"][name], 0)
-    print(f"{'updates':34}{ours['updates']:12}{peer['updates']:12}")
+    runs = (ours, peer, whole)
+    for name, key, digits in (
+        (f"position RMSE, cm, {stretch}", "position_rmse_cm", 3),
+        (f"heading RMSE, deg, {stretch}", "heading_rmse_deg", 4),
+    ):
+        left, right, more = (run["accuracy"][key] for run in runs)
+        line(name, left, right, digits, more)
+    show_times(line, *runs)
+    print(f"{'updates':38}{ours['updates']:12}{peer['updates']:12}{whole['updates']:24}")
     if "hour" not in results:
         return
     ours, peer = results["hour"]["holdfast"], results["hour"]["gtsam"]
-    print(f"\nAn hour of data: holdfast {ours['data_s']:.0f} s, GTSAM {peer['data_s']:.0f} s", end="")
+    print(f"\nAn hour of data, same factors: holdfast {ours['data_s']:.0f} s, GTSAM {peer['data_s']:.0f} s", end="")
     print("" if peer["data_s"] > HOUR_S - 5.0 else f" (stopped after {peer['wall_s'] / 60.0:.1f} minutes)")
-    print(f"{'':34}{'holdfast':>12}{'GTSAM':>12}{'ratio':>10}")
-    for name in ("mean", "p50", "p99"):
-        line(f"time per update, us, {name}", ours["update_us"][name], peer["update_us"][name], 0)
+    print(f"{'':38}{'holdfast':>12}{'GTSAM':>12}{'ratio':>10}")
+    show_times(line, ours, peer)
     print(f"\n{'data, min':>10}{'holdfast RSS, MB':>20}{'GTSAM RSS, MB':>18}{'GTSAM update, us':>20}")
-    theirs = dict(enumerate(peer["memory"]))
     for index, (stamp, resident) in enumerate(ours["memory"]):
         cells = f"{stamp / 60.0:10.0f}{resident / 1e6:20.1f}"
-        if index in theirs and index < len(peer["update_us_by_five_minutes"]):
-            mark = "" if abs(theirs[index][0] - stamp) < 60.0 else f"  (at {theirs[index][0] / 60.0:.0f} min)"
-            cells += f"{theirs[index][1] / 1e6:18.1f}{peer['update_us_by_five_minutes'][index]:20.0f}{mark}"
+        known = [there for there in peer["memory"] if abs(there[0] - stamp) < 60.0]
+        if known:
+            cells += f"{known[0][1] / 1e6:18.1f}{peer['update_us_by_five_minutes'][index]:20.0f}"
         print(cells)
+
+
+def show_times(line, ours, peer, whole=None):
+    for name in ("mean", "p50", "p99"):
+        more = whole and whole["update_us"][name]
+        line(f"time per update, us, {name}", ours["update_us"][name], peer["update_us"][name], 0, more)
+    with_covariance = peer["update_and_covariance_us"]["mean"]
+    line("  GTSAM with covariances, us, mean", ours["update_us"]["mean"], with_covariance, 0)
 
 
 def main():
@@ -581,9 +612,12 @@ def main():
         log = simulate(arguments.holdfast, scenario, out / f"{name}-log")
         ours = out / f"{name}-holdfast"
         keep = name == "construction"
-        entry = {"holdfast": run_ours(arguments.holdfast, machine_path, log, ours)}
+        entry = {"holdfast": run_ours(arguments.holdfast, machine_path, without_chassis(log), ours)}
         if keep:
             entry["holdfast"]["accuracy"] = accuracy(log, *read_tum(ours / "world.tum"))
+            whole = out / f"{name}-holdfast-with-chassis"
+            entry["holdfast_with_chassis"] = run_ours(arguments.holdfast, machine_path, log, whole)
+            entry["holdfast_with_chassis"]["accuracy"] = accuracy(log, *read_tum(whole / "world.tum"))
         entry["gtsam"] = apart(run_gtsam, machine_path, log, ours, wall_limit_s, keep)
         results[name] = entry
         (out / "results.json").write_text(json.dumps(results, indent=2) + "\n")
