@@ -4,6 +4,8 @@ Called by run.sh; README.md says what is alike and what is not. Tables go to std
 """
 
 import argparse
+import ctypes
+import importlib.metadata
 import json
 import multiprocessing
 import os
@@ -11,172 +13,27 @@ import re
 import subprocess
 import sys
 import time
-import tomllib
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, V, X
+from readings import FIX_PERIOD_S, Imu, Machine, first_estimate, measurements, normal_gravity, read_tum
 
 MACHINE_ID = "walker-1"
 GOOD_STRETCH_S = (12.0, 105.0)
 MEMORY_EVERY_S = 300.0
 HOUR_S = 3600.0
 
-# What the estimator takes where a machine file is silent (src/config/machine.rs).
-DEFAULTS = {
-    "imu": {
-        "accelerometer_noise_density": 1.1e-3,
-        "accelerometer_random_walk": 6.0e-5,
-        "gyroscope_noise_density": 1.6e-4,
-        "gyroscope_random_walk": 8.0e-6,
-    },
-    "lidar_odometry": {"increment_sigma_m": 0.006, "increment_sigma_deg": 0.05},
-    "gnss": {"sigma_floor_m": 0.005, "sigma_max_m": 0.2},
-    "smoother": {"lag_s": 3.0},
-    "initialization": {"static_window_s": 2.0, "accel_bias_sigma": 0.1},
-}
-# Constants of src/estimator/{updater,gate,initialization}.rs, src/smoother/mod.rs and src/factors/imu.rs.
+# Constants of src/estimator/{updater,initialization}.rs, src/smoother/mod.rs and src/factors/imu.rs.
 HUBER_THRESHOLD = 5.0
 LIDAR_GAP_MAX_S = 1.1
 NODE_SPACING_S = 1.0e-3
 NODE_EVERY_S = 0.5
-WHITE_SIGMA_M = 0.02
-CORRELATION_S = 3.0
-FIX_PERIOD_S = 0.05
 START_VELOCITY_SIGMA = 0.02
 UNSEEN_POSITION_SIGMA_M = 1.0e-6
 RELINEARIZE = {"rotation": 1.0e-3, "position": 0.1, "velocity": 0.1, "gyro_bias": 1.0e-3, "accel_bias": 0.02}
-
-SEMI_MAJOR_AXIS_M = 6_378_137.0
-FLATTENING = 1.0 / 298.257_223_563
-ECCENTRICITY_SQUARED = FLATTENING * (2.0 - FLATTENING)
-
-
-# --- Machine file -----------------------------------------------------------------------------------------
-
-
-def transform(table):
-    """`parent_from_child` of a frame's table: translation, and intrinsic Z-Y-X angles in degrees."""
-    yaw, pitch, roll = np.radians(table.get("yaw_pitch_roll_deg", [0.0, 0.0, 0.0]))
-    translation = np.array(table.get("translation_m", [0.0, 0.0, 0.0]))
-    return gtsam.Pose3(gtsam.Rot3.Ypr(yaw, pitch, roll), translation)
-
-
-class Machine:
-    """What both estimators must know of the machine."""
-
-    def __init__(self, path):
-        table = tomllib.loads(Path(path).read_text())
-        settings = {name: {**default, **table.get(name, {})} for name, default in DEFAULTS.items()}
-        self.imu, self.lidar, self.gnss = (settings[name] for name in ("imu", "lidar_odometry", "gnss"))
-        self.lag_s = settings["smoother"]["lag_s"]
-        self.initialization = settings["initialization"]
-        self.world = table["world"]
-        frames = table["frames"]
-        imu_from_cabin = transform(frames["cabin_from_imu"]).inverse()
-        self.imu_from_lidar = imu_from_cabin.compose(transform(frames["cabin_from_lidar"]))
-        self.antennas = {
-            side: imu_from_cabin.transformFrom(transform(frames[f"cabin_from_gnss_{side}"]).translation())
-            for side in ("left", "right")
-        }
-
-
-def normal_gravity(latitude_deg, altitude_m):
-    """WGS84 normal gravity, m/s² (as src/frames/geodesy.rs)."""
-    sin_squared = np.sin(np.radians(latitude_deg)) ** 2
-    surface = 9.780_325_335_9 * (1.0 + 0.001_931_852_652_41 * sin_squared)
-    surface /= np.sqrt(1.0 - ECCENTRICITY_SQUARED * sin_squared)
-    ratio = altitude_m / SEMI_MAJOR_AXIS_M
-    first_order = 2.0 * (1.0 + FLATTENING + 0.003_449_786_506_84 - 2.0 * FLATTENING * sin_squared)
-    return surface * (1.0 - first_order * ratio + 3.0 * ratio * ratio)
-
-
-def to_ecef(latitude_deg, longitude_deg, altitude_m):
-    latitude, longitude = np.radians(latitude_deg), np.radians(longitude_deg)
-    normal = SEMI_MAJOR_AXIS_M / np.sqrt(1.0 - ECCENTRICITY_SQUARED * np.sin(latitude) ** 2)
-    horizontal = (normal + altitude_m) * np.cos(latitude)
-    up = (normal * (1.0 - ECCENTRICITY_SQUARED) + altitude_m) * np.sin(latitude)
-    return np.stack([horizontal * np.cos(longitude), horizontal * np.sin(longitude), up], axis=-1)
-
-
-def to_enu(world, latitude_deg, longitude_deg, altitude_m):
-    """Positions in the site frame, m."""
-    origin = (world["latitude_deg"], world["longitude_deg"], world["altitude_m"])
-    latitude, longitude = np.radians(origin[:2])
-    (sin_lat, cos_lat), (sin_lon, cos_lon) = [(np.sin(a), np.cos(a)) for a in (latitude, longitude)]
-    enu_from_ecef = np.array(
-        [
-            [-sin_lon, cos_lon, 0.0],
-            [-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat],
-            [cos_lat * cos_lon, cos_lat * sin_lon, sin_lat],
-        ]
-    )
-    return (to_ecef(latitude_deg, longitude_deg, altitude_m) - to_ecef(*origin)) @ enu_from_ecef.T
-
-
-# --- Log --------------------------------------------------------------------------------------------------
-
-
-def table(path):
-    return np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
-
-
-class Imu:
-    """Samples in order; what lies between two of them is interpolated linearly."""
-
-    def __init__(self, path):
-        rows = table(path)
-        self.arrival, self.stamp = rows[:, 0].copy(), rows[:, 1].copy()
-        self.readings = rows[:, 2:8].copy()
-
-    def steps(self, start, end):
-        """Steps from `start` to `end`: lengths, and the mean reading of each (trapezoid rule)."""
-        first = np.searchsorted(self.stamp, start, side="right")
-        last = np.searchsorted(self.stamp, end, side="left")
-        stamps = np.concatenate([[start], self.stamp[first:last], [end]])
-        readings = np.vstack([self.at(start), self.readings[first:last], self.at(end)])
-        return np.diff(stamps), 0.5 * (readings[1:] + readings[:-1])
-
-    def at(self, stamp):
-        after = min(max(int(np.searchsorted(self.stamp, stamp, side="left")), 1), len(self.stamp) - 1)
-        before = after - 1
-        share = (stamp - self.stamp[before]) / (self.stamp[after] - self.stamp[before])
-        return self.readings[before] * (1.0 - share) + self.readings[after] * share
-
-
-def measurements(log, machine, start):
-    """Believed fixes and lidar poses after `start`, in order of stamp: (stamp, arrival, kind, values)."""
-    unreliable = [
-        tuple(map(float, line.split(",")[:2]))
-        for line in (log / "gnss_truth.csv").read_text().splitlines()[1:]
-        if not line.endswith(",good")
-    ]
-    found = []
-    for order, side in enumerate(("left", "right")):
-        rows = table(log / f"gnss_{side}.csv")
-        positions = to_enu(machine.world, rows[:, 2], rows[:, 3], rows[:, 4])
-        for row, position in zip(rows, positions):
-            worst = max(row[5], row[6], 0.5 * row[7])
-            excluded = any(begin <= row[1] <= end + 0.5 for begin, end in unreliable)
-            if row[1] > start and worst <= machine.gnss["sigma_max_m"] and not excluded:
-                found.append((row[1], order, row[0], side, (position, usable_sigma(machine, row[5:8]))))
-    for row in table(log / "lidar_odometry.csv"):
-        if row[1] > start:
-            pose = gtsam.Pose3(gtsam.Rot3.Quaternion(row[8], row[5], row[6], row[7]), row[2:5])
-            found.append((row[1], 2, row[0], "lidar", pose))
-    found.sort(key=lambda entry: entry[:2])
-    return found
-
-
-def usable_sigma(machine, reported):
-    """As the estimator's gate: what goes beyond white noise changes slowly and so counts less."""
-    alike = 1.0 + 2.0 * CORRELATION_S / FIX_PERIOD_S
-    sigma = np.maximum(reported, machine.gnss["sigma_floor_m"])
-    white = np.minimum(sigma, WHITE_SIGMA_M)
-    return np.sqrt(white**2 + (sigma**2 - white**2) * alike)
-
 
 # --- GTSAM ------------------------------------------------------------------------------------------------
 
@@ -200,9 +57,7 @@ class Peer:
         )
         # Sigmas hold in the lidar's frame; the between factor lives in the IMU's.
         adjoint = machine.imu_from_lidar.AdjointMap()
-        self.lidar_noise = gtsam.noiseModel.Gaussian.Covariance(
-            adjoint @ np.diag(lidar_sigma**2) @ adjoint.T
-        )
+        self.lidar_noise = gtsam.noiseModel.Gaussian.Covariance(adjoint @ np.diag(lidar_sigma**2) @ adjoint.T)
         walks = [machine.imu[f"{sensor}_random_walk"] for sensor in ("accelerometer", "gyroscope")]
         self.bias_walk = np.repeat(walks, 3)
         self.last_lidar = None
@@ -230,7 +85,9 @@ class Peer:
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         gaussian, diagonal = gtsam.noiseModel.Gaussian.Covariance, gtsam.noiseModel.Diagonal.Sigmas
         graph.add(gtsam.PriorFactorPose3(X(0), pose, gaussian(pose_covariance)))
-        graph.add(gtsam.PriorFactorVector(V(0), self.state.velocity(), diagonal(np.full(3, START_VELOCITY_SIGMA))))
+        graph.add(
+            gtsam.PriorFactorVector(V(0), self.state.velocity(), diagonal(np.full(3, START_VELOCITY_SIGMA)))
+        )
         graph.add(gtsam.PriorFactorConstantBias(B(0), self.bias, diagonal(bias_sigma)))
         values.insert(X(0), pose)
         values.insert(V(0), self.state.velocity())
@@ -241,25 +98,21 @@ class Peer:
         """One measurement, one update; the time of the update alone is in `update_ns`. False if it was none."""
         while stamp - self.stamp > 2.0 * NODE_EVERY_S:
             self.update(*self.new_node(self.stamp + NODE_EVERY_S))
-        if kind == "lidar" and (
-            self.last_lidar is None or stamp - self.last_lidar[0] > LIDAR_GAP_MAX_S
-        ):
-            connected = False
-        else:
-            connected = True
+        last = self.last_lidar
+        if last is not None and stamp - last[0] > LIDAR_GAP_MAX_S:
+            last = None
         if stamp - self.stamp > NODE_SPACING_S:
             graph, values, stamps = self.new_node(stamp)
         else:
             graph, values, stamps = gtsam.NonlinearFactorGraph(), gtsam.Values(), {}
         # Within a millisecond of the newest node: the measurement is carried to the node.
         node_pose = self.predicted.pose() if stamps else self.state.pose()
-        node_stamp = stamp if stamps else self.stamp
         at_stamp = node_pose if stamps else self.predict(stamp).pose()
         node = self.node + 1 if stamps else self.node
         if kind == "lidar":
             offset = node_pose.inverse().compose(at_stamp)
-            if connected:
-                _, last_node, last_offset, last_pose = self.last_lidar
+            if last is not None:
+                _, last_node, last_offset, last_pose = last
                 seen = last_pose.inverse().compose(value)
                 extrinsic = self.machine.imu_from_lidar
                 of_imu = extrinsic.compose(seen).compose(extrinsic.inverse())
@@ -276,9 +129,7 @@ class Peer:
             graph.add(gtsam.GPSFactorArm(X(node), position, lever_arm, noise))
         if graph.size() == 0:
             return False
-        if stamps:
-            self.node, self.stamp = node, node_stamp
-        self.update(graph, values, stamps, counted=True)
+        self.update(graph, values, stamps)
         return True
 
     def new_node(self, stamp):
@@ -297,9 +148,11 @@ class Peer:
         values.insert(B(node), self.bias)
         return graph, values, {key(node): stamp for key in (X, V, B)}
 
-    def update(self, graph, values, stamps, counted=False):
-        if stamps and not counted:
-            self.node, self.stamp = max((key & 0xFFFFFFFF, stamp) for key, stamp in stamps.items())
+    def update(self, graph, values, stamps):
+        """Only the call of the smoother is timed. `stamps` holds the keys of a new node, or nothing."""
+        if stamps:
+            self.stamp = max(stamps.values())
+            self.node = gtsam.Symbol(next(iter(stamps))).index()
         before = time.perf_counter_ns()
         self.smoother.update(graph, values, stamps)
         self.update_ns = time.perf_counter_ns() - before
@@ -359,6 +212,8 @@ def run_gtsam(machine_path, log, ours, wall_limit_s, keep):
     solutions = []
     memory = []
     peer = Peer(machine, imu, first)
+    # What reading the log has left behind goes back, so that growth cannot hide in it.
+    ctypes.CDLL(None).malloc_trim(0)
     begun = time.monotonic()
     next_memory = MEMORY_EVERY_S
     count = 0
@@ -425,18 +280,6 @@ def published(peer, imu, solutions):
 # --- Numbers ----------------------------------------------------------------------------------------------
 
 
-def first_estimate(ours):
-    with open(ours / "estimate.csv") as file:
-        names, values = (file.readline().strip().split(",") for _ in range(2))
-    return {name: float(value) for name, value in zip(names, values) if name != "mode"}
-
-
-def read_tum(path):
-    rows = np.loadtxt(path)
-    rotations = np.array([gtsam.Rot3.Quaternion(q[3], q[0], q[1], q[2]).matrix() for q in rows[:, 4:8]])
-    return rows[:, 0], rows[:, 1:4], rotations
-
-
 def accuracy(log, stamps, positions, rotations):
     """RMSE of position (three axes together) and of heading, in the stretch with good GNSS."""
     true_stamps, true_positions, true_rotations = read_tum(log / "truth_imu.tum")
@@ -457,7 +300,12 @@ def accuracy(log, stamps, positions, rotations):
 
 def statistics(values):
     p50, p99 = np.percentile(values, [50, 99])
-    return {"mean": float(np.mean(values)), "p50": float(p50), "p99": float(p99), "max": float(np.max(values))}
+    return {
+        "mean": float(np.mean(values)),
+        "p50": float(p50),
+        "p99": float(p99),
+        "max": float(np.max(values)),
+    }
 
 
 def resident_bytes(pid):
@@ -482,7 +330,8 @@ def run_ours(holdfast, machine_path, log, out):
         sys.exit(f"holdfast estimate failed with exit code {process.returncode}")
     summary = json.loads((out / "summary.json").read_text())
     end = summary["data_s"]
-    marks = [*np.arange(MEMORY_EVERY_S, end - 1.0, MEMORY_EVERY_S), end]
+    # The last second is left out: the process gives its memory back.
+    marks = [*np.arange(MEMORY_EVERY_S, end - 2.0, MEMORY_EVERY_S), end - 1.0]
     memory = []
     for mark in marks:
         known = [resident for stamp, resident in seen if stamp is not None and stamp <= mark]
@@ -521,7 +370,9 @@ def without_chassis(log):
 
 
 def simulate(holdfast, scenario, out):
-    subprocess.run([holdfast, "simulate", "--scenario", scenario, "--out", out], check=True, stdout=subprocess.DEVNULL)
+    subprocess.run(
+        [holdfast, "simulate", "--scenario", scenario, "--out", out], check=True, stdout=subprocess.DEVNULL
+    )
     return out / MACHINE_ID
 
 
@@ -529,7 +380,9 @@ def hour_scenario(repository, out):
     """The demonstration's scenario, an hour long."""
     source = repository / "config" / "scenarios" / "demo.toml"
     text = re.sub(r"(?m)^duration_s = .*$", f"duration_s = {HOUR_S}", source.read_text())
-    text = re.sub(r'(?m)^file = "(.*)"$', lambda found: f'file = "{(source.parent / found[1]).resolve()}"', text)
+    text = re.sub(
+        r'(?m)^file = "(.*)"$', lambda found: f'file = "{(source.parent / found[1]).resolve()}"', text
+    )
     path = out / "hour.toml"
     path.write_text(text)
     return path
@@ -566,7 +419,10 @@ def show(results):
     if "hour" not in results:
         return
     ours, peer = results["hour"]["holdfast"], results["hour"]["gtsam"]
-    print(f"\nAn hour of data, same factors: holdfast {ours['data_s']:.0f} s, GTSAM {peer['data_s']:.0f} s", end="")
+    print(
+        f"\nAn hour of data, same factors: holdfast {ours['data_s']:.0f} s, GTSAM {peer['data_s']:.0f} s",
+        end="",
+    )
     print("" if peer["data_s"] > HOUR_S - 5.0 else f" (stopped after {peer['wall_s'] / 60.0:.1f} minutes)")
     print(f"{'':38}{'holdfast':>12}{'GTSAM':>12}{'ratio':>10}")
     show_times(line, ours, peer)
@@ -592,7 +448,10 @@ def main():
     parser.add_argument("--holdfast", required=True, help="our binary")
     parser.add_argument("--out", type=Path, required=True, help="folder for logs and results")
     parser.add_argument(
-        "--minutes", type=float, default=12.0, help="wall clock for GTSAM's hour of data; 0 leaves the hour out"
+        "--minutes",
+        type=float,
+        default=12.0,
+        help="wall clock for GTSAM's hour of data; 0 leaves the hour out",
     )
     arguments = parser.parse_args()
     repository = Path(__file__).resolve().parents[2]
@@ -601,7 +460,7 @@ def main():
     out.mkdir(parents=True, exist_ok=True)
 
     results = {
-        "gtsam_version": __import__("importlib.metadata").metadata.version("gtsam"),
+        "gtsam_version": importlib.metadata.version("gtsam"),
         "lag_s": Machine(machine_path).lag_s,
         "hour_wall_limit_minutes": arguments.minutes,
     }

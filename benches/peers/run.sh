@@ -23,5 +23,5 @@ fi
 "$out/venv/bin/python" -m pip install --quiet --disable-pip-version-check "gtsam==4.3.0" "numpy>=2,<3"
 
 # One thread for both: nothing in the comparison may run beside it.
-export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
+export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE=1
 exec "$out/venv/bin/python" "$repository/benches/peers/gtsam_fixed_lag.py" --holdfast "$HOLDFAST" --out "$out" "$@"
