@@ -14,6 +14,7 @@ mod monitor;
 mod options;
 mod predictor;
 mod standstill;
+mod ties;
 mod updater;
 
 pub use gate::Options as GateOptions;

@@ -10,11 +10,11 @@ use super::inbox::{Admission, Inbox};
 use super::initialization::{Initializer, Start};
 use super::monitor::Monitor;
 use super::options::Options;
-use super::standstill::{self, Standstill, Stillness, TIE_EVERY, TIE_SIGMA};
+use super::standstill::{Standstill, Stillness};
+use super::ties;
 use super::{IMU_GAP_MAX, Solution};
-use crate::factors::{BetweenFactor, PositionFactor};
-use crate::frames::{Lidar, Pose, World};
-use crate::lie::{Se3, Vec3};
+use crate::factors::PositionFactor;
+use crate::lie::Vec3;
 use crate::sensors::{Arrival, GnssFix, LidarPose, Reading, Sensor};
 use crate::smoother::{Smoother, SmootherError, predicted_position_covariance};
 use crate::state::{Event, EventKind, GnssState, Health, Mode, NavState, Severity, row};
@@ -28,10 +28,6 @@ const AHEAD_MAX: Span = Span::from_millis(1_000);
 const NODE_EVERY: Span = Span::from_millis(500);
 /// Lidar poses further apart than this are not tied: its odometry has restarted or lost much.
 const LIDAR_GAP_MAX: Span = Span::from_millis(1_100);
-/// A lidar increment that differs so much from the prediction is wrong: m, rad.
-const LIDAR_MISFIT_MAX: [f64; 2] = [0.5, 0.2];
-/// A chassis that the estimate moves so far between two ties does not stand: m, rad.
-const TIE_MISFIT_MAX: [f64; 2] = [0.02, 0.002];
 /// Without lidar for so long, the IMU is alone.
 const LIDAR_SILENCE: Span = Span::from_millis(1_500);
 /// What a wrong estimate may be off in rotation (rad) and velocity (m/s), beside position.
@@ -303,7 +299,7 @@ impl Updater {
         let last = running.last_lidar.replace(*pose);
         let oldest = running.smoother.oldest_stamp().unwrap_or(pose.stamp);
         let last = last.filter(|last| last.stamp >= oldest && pose.stamp - last.stamp <= LIDAR_GAP_MAX)?;
-        let outcome = tie_lidar(&mut running.smoother, &self.options, &last, pose);
+        let outcome = ties::tie_lidar(&mut running.smoother, &self.options, &last, pose);
         match outcome {
             Ok(Ok(())) => self.solve(Ok(true), pose.stamp),
             Ok(Err(misfit)) => {
@@ -358,37 +354,8 @@ impl Updater {
     /// Ties two nodes of one standstill of the chassis, about once a second.
     fn tie_chassis(&mut self) {
         let Phase::Running(running) = &mut self.phase else { return };
-        let Some((since, until)) = self.standstill.certain() else { return };
-        let smoother = &mut running.smoother;
-        let oldest = smoother.oldest_stamp().unwrap_or(since);
-        let from = self.standstill.tied.filter(|tied| *tied >= oldest).or_else(|| smoother.node_after(since));
-        let (Some(from), Some(to)) = (from, smoother.node_before(until)) else { return };
-        if to - from < TIE_EVERY {
-            return;
-        }
-        let turns = (self.standstill.turn_at(from), self.standstill.turn_at(to));
-        let (Some(from_angle), Some(to_angle)) = turns else { return };
-        let [at_from, at_to] =
-            [from_angle, to_angle].map(|angle| standstill::imu_from_base(&self.options, angle));
-        let (Some(state_from), Some(state_to), Some(sample)) =
-            (smoother.state_at(from), smoother.state_at(to), smoother.samples().at(to))
-        else {
-            return;
-        };
-        let measured = *(at_from * at_to.inverse()).motion();
-        let predicted = *(state_from.world_from_imu().inverse() * state_to.world_from_imu()).motion();
-        let misfit = measured.inverse() * predicted;
-        let stands = standstill::stands(&state_to, &(sample.angular_rate - state_to.gyro_bias), &at_to)
-            && misfit.translation.norm() < TIE_MISFIT_MAX[0]
-            && misfit.rotation.log().norm() < TIE_MISFIT_MAX[1];
-        if !stands {
-            self.standstill.end();
-            return;
-        }
-        let factor = BetweenFactor { measured, imu_from_sensor: Se3::identity(), sigma: TIE_SIGMA };
-        if smoother.add_between(from, to, factor).is_ok() {
-            self.standstill.tied = Some(to);
-        }
+        let turns = self.inbox.newest(Sensor::BaseImu).is_some();
+        ties::tie_chassis(&mut running.smoother, &self.options, &mut self.standstill, turns);
     }
 
     fn mode(&self, gnss_trusted: bool, now: Stamp) -> Mode {
@@ -543,43 +510,4 @@ fn candidate(
         expected: antenna(&state, lever_arm),
         expected_covariance: predicted_position_covariance(&state, &covariance, lever_arm),
     })
-}
-
-/// Ties the nodes of two lidar poses. The inner error says how the increment misfits the prediction.
-fn tie_lidar(
-    smoother: &mut Smoother,
-    options: &Options,
-    from: &LidarPose,
-    to: &LidarPose,
-) -> Result<Result<(), String>, SmootherError> {
-    let earlier = smoother.node_at(from.stamp)?;
-    let later = smoother.node_at(to.stamp)?;
-    if later <= earlier {
-        return Ok(Ok(()));
-    }
-    let lidar_at = |stamp: Stamp| -> Option<Pose<World, Lidar>> {
-        Some(smoother.state_at(stamp)?.world_from_imu() * options.imu_from_lidar)
-    };
-    let states = (lidar_at(earlier), lidar_at(from.stamp), lidar_at(to.stamp), lidar_at(later));
-    let (Some(at_earlier), Some(at_from), Some(at_to), Some(at_later)) = states else {
-        return Err(SmootherError::NotStarted);
-    };
-    let seen = from.lidarmap_from_lidar.inverse() * to.lidarmap_from_lidar;
-    let misfit = (at_from.inverse() * at_to).inverse() * seen;
-    let (shift_m, turn) = (misfit.translation().norm(), misfit.rotation().log().norm());
-    if shift_m > LIDAR_MISFIT_MAX[0] || turn > LIDAR_MISFIT_MAX[1] {
-        return Ok(Err(format!(
-            "its increment is {shift_m:.2} m and {:.1}° from the predicted one",
-            turn.to_degrees()
-        )));
-    }
-    // From the stamps of the poses to those of the nodes, by the motion in between.
-    let measured = (at_earlier.inverse() * at_from) * seen * (at_to.inverse() * at_later);
-    let factor = BetweenFactor {
-        measured: *measured.motion(),
-        imu_from_sensor: *options.imu_from_lidar.motion(),
-        sigma: options.lidar_sigma,
-    };
-    smoother.add_between(earlier, later, factor)?;
-    Ok(Ok(()))
 }

@@ -213,3 +213,22 @@ fn clock_that_jumps_by_an_hour_starts_the_estimate_anew() {
         }
     }
 }
+
+/// With the IMU alone, an error of the tilt of a tenth of a degree would be 13 cm after four seconds.
+#[test]
+fn standing_machine_without_chassis_sensors_holds_its_position() {
+    for machine in 0..2 {
+        let run = run(machine, |arrival| {
+            let lost = match arrival.reading.sensor() {
+                Sensor::BaseImu | Sensor::CabinTurn | Sensor::LidarOdometry => true,
+                Sensor::GnssLeft | Sensor::GnssRight => within(arrival.reading.stamp(), 5.0, 9.0),
+                Sensor::Imu => false,
+            };
+            (!lost).then_some(Span::default())
+        });
+        let worst_m = run.worst_m(5.0, 9.0);
+        run.tell("standing with the IMU alone for 4 s", &format!("{:.1} cm", 100.0 * worst_m));
+        assert!(run.modes(6.5, 9.0).contains(&Mode::ImuOnly));
+        assert!(worst_m < 0.02, "{}: {worst_m} m", run.name);
+    }
+}
