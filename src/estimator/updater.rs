@@ -17,7 +17,7 @@ use crate::factors::PositionFactor;
 use crate::lie::Vec3;
 use crate::sensors::{Arrival, GnssFix, LidarPose, Reading, Sensor};
 use crate::smoother::{Smoother, SmootherError, predicted_position_covariance};
-use crate::state::{Event, EventKind, GnssState, Health, Mode, NavState, Severity, row};
+use crate::state::{Event, GnssState, Health, Mode, NavState, row};
 use crate::time::{Span, Stamp};
 
 /// Huber's threshold of fixes that pass the gate, in sigmas.
@@ -165,7 +165,7 @@ impl Updater {
         let newest = running.smoother.newest().map_or(imu, |(stamp, _)| stamp);
         if imu - newest > NODE_EVERY {
             let outcome = running.smoother.node_at(imu).map(|_| ());
-            return self.solve(outcome.map(|()| true), imu).or(solution);
+            return self.solve(Sensor::Imu, outcome.map(|()| true), imu).or(solution);
         }
         solution
     }
@@ -205,7 +205,7 @@ impl Updater {
             (false, _) => self.bare_node(fix.stamp),
         };
         let expected = candidate.expected;
-        let solution = self.solve(outcome, fix.stamp);
+        let solution = self.solve(Sensor::GnssLeft, outcome, fix.stamp);
         let corrected = match &self.phase {
             Phase::Running(running) => running.smoother.state_at(fix.stamp),
             Phase::Waiting(_) => None,
@@ -241,7 +241,7 @@ impl Updater {
             return None;
         }
         let outcome = self.add_fix(fix, &lever_arm);
-        self.solve(outcome, fix.stamp)
+        self.solve(Sensor::GnssRight, outcome, fix.stamp)
     }
 
     /// Ties a node to a fix; the fix is moved by the motion between its stamp and the node's.
@@ -301,7 +301,7 @@ impl Updater {
         let last = last.filter(|last| last.stamp >= oldest && pose.stamp - last.stamp <= LIDAR_GAP_MAX)?;
         let outcome = ties::tie_lidar(&mut running.smoother, &self.options, &last, pose);
         match outcome {
-            Ok(Ok(())) => self.solve(Ok(true), pose.stamp),
+            Ok(Ok(())) => self.solve(Sensor::LidarOdometry, Ok(true), pose.stamp),
             Ok(Err(misfit)) => {
                 self.refuse(Sensor::LidarOdometry, misfit);
                 None
@@ -317,7 +317,12 @@ impl Updater {
     }
 
     /// Updates the smoother and makes a solution of its newest node.
-    fn solve(&mut self, outcome: Result<bool, SmootherError>, stamp: Stamp) -> Option<Box<Solution>> {
+    fn solve(
+        &mut self,
+        sensor: Sensor,
+        outcome: Result<bool, SmootherError>,
+        stamp: Stamp,
+    ) -> Option<Box<Solution>> {
         if outcome == Ok(true) {
             self.tie_chassis();
         }
@@ -334,7 +339,7 @@ impl Updater {
                 return None;
             }
             Err(error) => {
-                self.monitor.note_refusal(self.now, Sensor::Imu, error.to_string());
+                self.refuse(sensor, error.to_string());
                 return None;
             }
         }
@@ -387,7 +392,7 @@ impl Updater {
             last_left: None,
             restart: true,
         }));
-        let mut solution = self.solve(Ok(true), start.stamp);
+        let mut solution = self.solve(Sensor::Imu, Ok(true), start.stamp);
         for reading in &start.readings {
             let newest = self.process(reading);
             if let (Some(first), Some(newest)) = (&solution, newest) {
@@ -462,11 +467,6 @@ impl Updater {
     /// Tells how long the last update took by the caller's clock; the estimator has none.
     pub fn note_update_time(&mut self, micros: f64) {
         self.monitor.note_update_time(micros);
-    }
-
-    /// Adds an event of the caller's.
-    pub fn note_event(&mut self, severity: Severity, what: EventKind) {
-        self.monitor.push(Event::new(self.now, severity, what));
     }
 }
 
