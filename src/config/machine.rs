@@ -124,6 +124,8 @@ pub struct Imu {
 pub struct BaseImu {
     /// rad/s/√Hz.
     pub gyroscope_noise_density: f64,
+    /// rad/s²/√Hz.
+    pub gyroscope_random_walk: f64,
 }
 
 /// Noise of one increment between consecutive lidar poses.
@@ -218,7 +220,7 @@ impl Default for Imu {
 
 impl Default for BaseImu {
     fn default() -> Self {
-        Self { gyroscope_noise_density: 1.6e-4 }
+        Self { gyroscope_noise_density: 1.6e-4, gyroscope_random_walk: 8.0e-6 }
     }
 }
 
@@ -330,6 +332,7 @@ impl Machine {
             accelerometer_noise_density: self.imu.accelerometer_noise_density,
             gyroscope_random_walk: self.imu.gyroscope_random_walk,
             accelerometer_random_walk: self.imu.accelerometer_random_walk,
+            base_gyroscope_random_walk: self.base_imu.gyroscope_random_walk,
             gap_s: GAP_PERIODS / self.imu.update_rate,
         };
         let lag = Span::from_seconds(self.smoother.lag_s);
@@ -340,6 +343,7 @@ impl Machine {
             imu_from_cabin,
             base_from_cabin: mounted.base_from_cabin.pose(),
             base_from_base_imu: mounted.base_from_base_imu.pose(),
+            base_gyroscope_noise_density: self.base_imu.gyroscope_noise_density,
             antenna_left: in_imu(&mounted.cabin_from_gnss_left),
             antenna_right: mounted.cabin_from_gnss_right.as_ref().map(in_imu),
             lidar_sigma: [
@@ -389,6 +393,7 @@ impl Checked for Machine {
         positive("imu.gyroscope_noise_density", self.imu.gyroscope_noise_density)?;
         positive("imu.gyroscope_random_walk", self.imu.gyroscope_random_walk)?;
         positive("base_imu.gyroscope_noise_density", self.base_imu.gyroscope_noise_density)?;
+        positive("base_imu.gyroscope_random_walk", self.base_imu.gyroscope_random_walk)?;
         positive("lidar_odometry.increment_sigma_m", self.lidar_odometry.increment_sigma_m)?;
         positive("lidar_odometry.increment_sigma_deg", self.lidar_odometry.increment_sigma_deg)?;
         positive("gnss.sigma_floor_m", self.gnss.sigma_floor_m)?;

@@ -131,6 +131,7 @@ pub(super) fn align(
         velocity: Vec3::new(solution[2], solution[3], climb),
         gyro_bias: guess.gyro_bias,
         accel_bias: guess.accel_bias,
+        base_gyro_bias: 0.0,
     };
     Some(Aligned { stamp: first.stamp, state, heading_sigma })
 }
@@ -166,6 +167,7 @@ fn antenna_path(
         accelerometer_noise_density: 0.0,
         gyroscope_random_walk: 0.0,
         accelerometer_random_walk: 0.0,
+        base_gyroscope_random_walk: 0.0,
         gap_s: f64::INFINITY,
     };
     let mut motion = Preintegration::new(guess.gyro_bias, guess.accel_bias);

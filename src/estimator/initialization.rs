@@ -11,7 +11,7 @@ use super::options::Options;
 use crate::lie::{Mat3, So3, Vec3, hat};
 use crate::preintegration::SampleBuffer;
 use crate::sensors::{GnssFix, ImuSample, LidarPose, Reading};
-use crate::state::{NavState, StateMatrix, row};
+use crate::state::{NavState, STATE_DIM, StateMatrix, row};
 use crate::time::{Span, Stamp};
 
 /// The start lies so far before the newest sample, so that readings under way still find the window.
@@ -34,6 +34,8 @@ const REST_WOBBLE: [f64; 2] = [0.004, 0.08];
 const SAME_EPOCH: Span = Span::from_millis(5);
 /// Epochs of two antennas that are averaged at least.
 const EPOCHS_MIN: usize = 5;
+/// Prior of the chassis gyro's bias, rad/s.
+const BASE_GYRO_BIAS_SIGMA: f64 = 0.01;
 
 /// Where and how the estimate starts.
 pub(super) struct Start {
@@ -312,6 +314,7 @@ impl Initializer {
             velocity: Vec3::zeros(),
             gyro_bias: level.gyro_bias,
             accel_bias: level.accel_bias,
+            base_gyro_bias: 0.0,
         };
         let information = self.information_at_rest(&level, &state, heading_sigma, sigma_m);
         Some(self.start(level.stamp, state, information, "two antennas at rest", heading_sigma))
@@ -330,7 +333,7 @@ impl Initializer {
         let mut information =
             self.information(state, &rotation_sigma, sigma_m + 0.02, 0.02, level.gyro_bias_sigma);
         let force = state.rotation.inverse() * -self.options.smoother.gravity;
-        let mut jacobian = nalgebra::SMatrix::<f64, 3, 15>::zeros();
+        let mut jacobian = nalgebra::SMatrix::<f64, 3, STATE_DIM>::zeros();
         jacobian.fixed_view_mut::<3, 3>(0, row::ROTATION).copy_from(&hat(&force));
         jacobian.fixed_view_mut::<3, 3>(0, row::ACCEL_BIAS).copy_from(&Mat3::identity());
         information += jacobian.transpose() * jacobian / level.force_sigma.powi(2);
@@ -365,6 +368,7 @@ impl Initializer {
                 information[(axis, axis)] = sigma.powi(-2);
             }
         }
+        information[(row::BASE_GYRO_BIAS, row::BASE_GYRO_BIAS)] = BASE_GYRO_BIAS_SIGMA.powi(-2);
         information
     }
 

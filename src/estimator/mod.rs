@@ -7,6 +7,7 @@
 //! tells the whole story.
 
 mod alignment;
+mod chassis_turn;
 mod gate;
 mod inbox;
 mod initialization;

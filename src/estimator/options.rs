@@ -22,6 +22,8 @@ pub struct Options {
     pub base_from_cabin: Pose<Base, Cabin>,
     /// Where the chassis IMU sits.
     pub base_from_base_imu: Pose<Base, BaseImu>,
+    /// White noise of the chassis' gyroscope, rad/s/√Hz.
+    pub base_gyroscope_noise_density: f64,
     /// Phase centre of the left antenna in the IMU frame, m.
     pub antenna_left: Vec3,
     /// Phase centre of the right antenna in the IMU frame, m.

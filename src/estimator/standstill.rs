@@ -211,6 +211,11 @@ impl Standstill {
         (until > since).then_some((since, until))
     }
 
+    /// Stamp of the newest reading of the encoder.
+    pub fn newest_turn(&self) -> Option<Stamp> {
+        self.turns.back().map(|turn| turn.stamp)
+    }
+
     /// Cabin turn (rad) at a stamp between two readings of the encoder.
     pub fn turn_at(&self, stamp: Stamp) -> Option<f64> {
         let after = self.turns.partition_point(|turn| turn.stamp < stamp);

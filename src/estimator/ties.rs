@@ -1,8 +1,9 @@
-//! Edges between two nodes: by lidar odometry, and by a chassis that stood.
+//! Edges between two nodes: by lidar odometry, by a chassis that stood, and by how its gyroscope turned.
 
+use super::chassis_turn::{self, ChassisTurn};
 use super::options::Options;
 use super::standstill::{Standstill, TIE_EVERY, TIE_SIGMA, imu_from_base, stands};
-use crate::factors::BetweenFactor;
+use crate::factors::{BetweenFactor, TurnFactor};
 use crate::frames::{Lidar, Pose, World};
 use crate::lie::Se3;
 use crate::sensors::LidarPose;
@@ -11,6 +12,8 @@ use crate::time::Stamp;
 
 /// A lidar increment that differs so much from the prediction is wrong: m, rad.
 const LIDAR_MISFIT_MAX: [f64; 2] = [0.5, 0.2];
+/// A chassis gyroscope further from the estimate has a wrong encoder beside it, rad/s: any bias is less.
+const TURN_MISFIT_MAX: f64 = 0.03;
 /// A chassis that the estimate moves so far between two ties does not stand: m, rad.
 const TIE_MISFIT_MAX: [f64; 2] = [0.02, 0.002];
 
@@ -89,5 +92,38 @@ pub(super) fn tie_chassis(
     let factor = BetweenFactor { measured, imu_from_sensor: Se3::identity(), sigma: TIE_SIGMA };
     if smoother.add_between(from, to, factor).is_ok() {
         standstill.tied = Some(to);
+    }
+}
+
+/// Ties two nodes by the turn of the chassis' gyroscope, if a second has gone by since the last tie.
+pub(super) fn tie_turn(
+    smoother: &mut Smoother,
+    options: &Options,
+    chassis: &mut ChassisTurn,
+    standstill: &Standstill,
+) {
+    let (Some((since, until)), Some(newest_turn)) = (chassis.covered(), standstill.newest_turn()) else { return };
+    let oldest = smoother.oldest_stamp().unwrap_or(since);
+    let from = chassis.tied.filter(|tied| *tied >= oldest).or_else(|| smoother.node_after(since.max(oldest)));
+    let (Some(from), Some(to)) = (from, smoother.node_before(until.min(newest_turn))) else { return };
+    if to - from < TIE_EVERY {
+        return;
+    }
+    chassis.tied = Some(to);
+    let (Some(from_angle), Some(to_angle)) = (standstill.turn_at(from), standstill.turn_at(to)) else { return };
+    let (Some(state_from), Some(state_to)) = (smoother.state_at(from), smoother.state_at(to)) else { return };
+    let Some(measured) = chassis.turned(from, to, state_from.base_gyro_bias) else { return };
+    let span_s = to.seconds_since(from);
+    let factor = TurnFactor {
+        measured,
+        base_gyro_bias: state_from.base_gyro_bias,
+        span_s,
+        imu_from_base: [from_angle, to_angle].map(|angle| imu_from_base(options, angle).rotation()),
+        sigma: chassis_turn::sigma(options.base_gyroscope_noise_density, span_s, to_angle - from_angle),
+    };
+    let misfit = factor.residual(&state_from, &state_to) * factor.sigma;
+    if misfit.abs() < TURN_MISFIT_MAX * span_s {
+        // Both ends are nodes of the window.
+        let _ = smoother.add_turn(from, to, factor);
     }
 }

@@ -5,6 +5,7 @@
 
 use std::collections::VecDeque;
 
+use super::chassis_turn::ChassisTurn;
 use super::gate::{Candidate, Gate, Turn};
 use super::inbox::{Admission, Inbox};
 use super::initialization::{Initializer, Start};
@@ -15,7 +16,7 @@ use super::ties;
 use super::{IMU_GAP_MAX, Solution};
 use crate::factors::PositionFactor;
 use crate::lie::Vec3;
-use crate::sensors::{Arrival, GnssFix, LidarPose, Reading, Sensor};
+use crate::sensors::{Arrival, GnssFix, ImuSample, LidarPose, Reading, Sensor};
 use crate::smoother::{Smoother, SmootherError, predicted_position_covariance};
 use crate::state::{Event, GnssState, Health, Mode, NavState, row};
 use crate::time::{Span, Stamp};
@@ -43,6 +44,7 @@ pub struct Updater {
     phase: Phase,
     pending: VecDeque<Reading>,
     standstill: Standstill,
+    chassis_turn: ChassisTurn,
     monitor: Monitor,
     now: Stamp,
 }
@@ -71,6 +73,7 @@ impl Updater {
             phase: Phase::Waiting(Box::new(initializer)),
             pending: VecDeque::new(),
             standstill,
+            chassis_turn: ChassisTurn::default(),
             monitor: Monitor::default(),
             now: Stamp::default(),
         }
@@ -119,6 +122,8 @@ impl Updater {
             }
             Reading::BaseImu(sample) => {
                 self.standstill.push_sample(sample);
+                let angular_rate = self.options.base_from_base_imu.rotation() * sample.angular_rate;
+                self.chassis_turn.push_sample(ImuSample { angular_rate, ..sample });
                 None
             }
             Reading::CabinTurn(turn) => {
@@ -356,11 +361,12 @@ impl Updater {
         Some(Box::new(Solution { stamp: newest, state, covariance, mode, restart }))
     }
 
-    /// Ties two nodes of one standstill of the chassis, about once a second.
+    /// Ties two nodes by what the chassis' sensors say, about once a second.
     fn tie_chassis(&mut self) {
         let Phase::Running(running) = &mut self.phase else { return };
         let turns = self.inbox.newest(Sensor::BaseImu).is_some();
         ties::tie_chassis(&mut running.smoother, &self.options, &mut self.standstill, turns);
+        ties::tie_turn(&mut running.smoother, &self.options, &mut self.chassis_turn, &self.standstill);
     }
 
     fn mode(&self, gnss_trusted: bool, now: Stamp) -> Mode {
@@ -409,6 +415,7 @@ impl Updater {
         self.phase = Phase::Waiting(Box::new(Initializer::new(self.options.clone())));
         self.pending.clear();
         self.standstill = standstill_of(&self.options);
+        self.chassis_turn = ChassisTurn::default();
         if was_running {
             self.monitor.note_restart(self.now, reason);
         }

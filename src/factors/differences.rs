@@ -16,6 +16,7 @@ pub fn states() -> Vec<NavState> {
                 velocity: Vec3::new(1.0, -0.5 * k, 0.2),
                 gyro_bias: Vec3::new(3e-3, -2e-3, 1e-3 * k),
                 accel_bias: Vec3::new(0.05, -0.04, 0.02 * k),
+                base_gyro_bias: 1e-3 * k - 2e-3,
             }
         })
         .collect()

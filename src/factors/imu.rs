@@ -2,7 +2,7 @@
 
 use crate::lie::{Mat3, So3, Vec3, hat};
 use crate::preintegration::{ImuNoise, Mat9, Preintegration};
-use crate::state::{NavState, StateMatrix, StateVector, row};
+use crate::state::{NavState, STATE_DIM, StateMatrix, StateVector, row};
 
 /// Motion between two samples that no sample sees, m (one sigma per factor): the trapezoid rule is good to
 /// about a micrometre, and without it two nodes a millisecond apart would be tied so stiffly that the
@@ -15,24 +15,25 @@ const UNSEEN_POSITION_SIGMA_M: f64 = 1.0e-6;
 /// r_φ = Log(ΔR(b)ᵀ R_iᵀ R_j),
 /// r_p = R_iᵀ (p_j − p_i − v_i Δt − ½ g Δt²) − Δp(b),
 /// r_v = R_iᵀ (v_j − v_i − g Δt) − Δv(b),
-/// r_b = b_j − b_i (eq. 47), each whitened.
+/// r_b = b_j − b_i (eq. 47) for the biases of the cabin's gyroscope and accelerometer and of the chassis' gyroscope,
+/// each whitened.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImuFactor {
     motion: Preintegration,
     /// Lower-triangular W with Wᵀ W = Σ⁻¹ over (rotation, position, velocity).
     whiten: Mat9,
-    /// 1/σ of the bias changes: gyro, accelerometer.
-    bias_information_root: [f64; 2],
+    /// 1/σ of the bias changes: gyro, accelerometer, chassis gyro.
+    bias_information_root: [f64; 3],
 }
 
 /// [`ImuFactor`] at two states.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LinearImu {
-    /// Whitened, 15.
+    /// Whitened, 16.
     pub residual: StateVector,
-    /// Over node i, 15×15.
+    /// Over node i, 16×16.
     pub jacobian_i: StateMatrix,
-    /// Over node j, 15×15.
+    /// Over node j, 16×16.
     pub jacobian_j: StateMatrix,
 }
 
@@ -50,6 +51,7 @@ impl ImuFactor {
         let bias_information_root = [
             1.0 / (noise.gyroscope_random_walk * root_span),
             1.0 / (noise.accelerometer_random_walk * root_span),
+            1.0 / (noise.base_gyroscope_random_walk * root_span),
         ];
         Some(Self { motion, whiten, bias_information_root })
     }
@@ -71,6 +73,7 @@ impl ImuFactor {
         set(row::VELOCITY, back * (state_j.velocity - state_i.velocity - gravity * span) - velocity);
         set(row::GYRO_BIAS, state_j.gyro_bias - state_i.gyro_bias);
         set(row::ACCEL_BIAS, state_j.accel_bias - state_i.accel_bias);
+        residual[row::BASE_GYRO_BIAS] = state_j.base_gyro_bias - state_i.base_gyro_bias;
         self.whitened(&residual)
     }
 
@@ -119,6 +122,8 @@ impl ImuFactor {
             set(&mut by_i, bias, bias, &-Mat3::identity());
             set(&mut by_j, bias, bias, &Mat3::identity());
         }
+        by_i[(row::BASE_GYRO_BIAS, row::BASE_GYRO_BIAS)] = -1.0;
+        by_j[(row::BASE_GYRO_BIAS, row::BASE_GYRO_BIAS)] = 1.0;
         LinearImu {
             residual: self.residual(state_i, state_j, gravity),
             jacobian_i: self.whitened_columns(&by_i),
@@ -131,8 +136,8 @@ impl ImuFactor {
         for out in 0..9 {
             whitened[out] = (0..=out).map(|inner| self.whiten[(out, inner)] * residual[inner]).sum();
         }
-        for axis in 0..6 {
-            whitened[9 + axis] = residual[9 + axis] * self.bias_information_root[axis / 3];
+        for bias in 9..STATE_DIM {
+            whitened[bias] = residual[bias] * self.bias_information_root[bias / 3 - 3];
         }
         whitened
     }
@@ -162,6 +167,7 @@ mod tests {
         accelerometer_noise_density: 1.1e-3,
         gyroscope_random_walk: 8.0e-6,
         accelerometer_random_walk: 6.0e-5,
+        base_gyroscope_random_walk: 8.0e-6,
         gap_s: 0.05,
     };
 
@@ -187,7 +193,7 @@ mod tests {
             let by_i = differences::jacobian(&state_i, |state| factor.residual(state, &state_j, &gravity));
             let by_j = differences::jacobian(&state_j, |state| factor.residual(&state_i, state, &gravity));
             // Row by row: whitening makes some rows a million times larger than others.
-            for index in 0..15 {
+            for index in 0..STATE_DIM {
                 let scale = 1e-6 * (by_i.row(index).norm() + by_j.row(index).norm());
                 assert!((by_i.row(index) - linear.jacobian_i.row(index)).norm() < scale, "i, row {index}");
                 assert!((by_j.row(index) - linear.jacobian_j.row(index)).norm() < scale, "j, row {index}");

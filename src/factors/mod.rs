@@ -2,12 +2,13 @@
 //!
 //! Each factor file has its equation, source and frames. A residual is divided by its sigma, so that the
 //! cost is half its squared norm; Jacobians are over the tangent of `state::NavState` (rotation, position,
-//! velocity, gyro bias, accelerometer bias). No graph in here: the room `smoother` knows who is tied to whom.
+//! velocity, gyro bias, accelerometer bias, chassis gyro bias). No graph in here: the room `smoother` knows who is tied to whom.
 
 mod between;
 mod imu;
 mod position;
 mod robust;
+mod turn;
 
 #[cfg(test)]
 mod differences;
@@ -16,3 +17,4 @@ pub use between::{BetweenFactor, LinearBetween};
 pub use imu::{ImuFactor, LinearImu};
 pub use position::{LinearPosition, PositionFactor};
 pub use robust::huber_weight;
+pub use turn::{LinearTurn, TurnFactor};

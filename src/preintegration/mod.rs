@@ -17,7 +17,7 @@ use crate::state::NavState;
 /// Covariance over (rotation, position, velocity).
 pub type Mat9 = SMatrix<f64, 9, 9>;
 
-/// Continuous-time noise of an IMU, by Kalibr's names.
+/// Continuous-time noise of the cabin IMU, by Kalibr's names.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ImuNoise {
     /// rad/s/√Hz.
@@ -28,6 +28,8 @@ pub struct ImuNoise {
     pub gyroscope_random_walk: f64,
     /// m/s³/√Hz.
     pub accelerometer_random_walk: f64,
+    /// Of the chassis' gyroscope, whose bias is estimated along, rad/s²/√Hz.
+    pub base_gyroscope_random_walk: f64,
     /// Two samples further apart than this are a gap, s.
     pub gap_s: f64,
 }

@@ -10,6 +10,7 @@ const NOISE: ImuNoise = ImuNoise {
     accelerometer_noise_density: 1.0e-2,
     gyroscope_random_walk: 1.0e-5,
     accelerometer_random_walk: 1.0e-4,
+    base_gyroscope_random_walk: 8.0e-6,
     gap_s: 0.03,
 };
 

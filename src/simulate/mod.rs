@@ -162,7 +162,10 @@ impl Simulation {
         let bodies = self.motion.at(stamp);
         let imu = bodies.cabin.mounted(self.machine.frames.cabin_from_imu.pose::<(), ()>().motion());
         let [gyro_bias, accel_bias] =
-            self.sensors.iter().find_map(|sensor| sensor.source.cabin_imu_bias()).unwrap_or_default();
+            self.sensors.iter().find_map(|sensor| sensor.source.imu_bias(Carrier::Cabin)).unwrap_or_default();
+        let [base_gyro_bias, _] =
+            self.sensors.iter().find_map(|sensor| sensor.source.imu_bias(Carrier::Base)).unwrap_or_default();
+        let base_gyro_bias = (self.machine.frames.base_from_base_imu.pose::<(), ()>().rotation() * base_gyro_bias).z;
         Truth {
             stamp,
             state: NavState {
@@ -171,6 +174,7 @@ impl Simulation {
                 velocity: imu.velocity,
                 gyro_bias,
                 accel_bias,
+                base_gyro_bias,
             },
             imu,
             world_from_base: Pose::assume(bodies.base.pose),

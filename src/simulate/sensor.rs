@@ -13,8 +13,8 @@ pub(super) trait Source: Send {
     /// What it reads at `stamp`; nothing if it misses the moment.
     fn read(&mut self, stamp: Stamp, bodies: &Bodies) -> Option<Reading>;
 
-    /// Gyro and accelerometer bias at the newest reading, of the cabin IMU.
-    fn cabin_imu_bias(&self) -> Option<[Vec3; 2]> {
+    /// Gyro and accelerometer bias at the newest reading, of the IMU on that body.
+    fn imu_bias(&self, _carrier: Carrier) -> Option<[Vec3; 2]> {
         None
     }
 }
@@ -99,8 +99,8 @@ impl Source for ImuSource {
         })
     }
 
-    fn cabin_imu_bias(&self) -> Option<[Vec3; 2]> {
-        (self.carrier == Carrier::Cabin).then_some([self.gyro_bias, self.accel_bias])
+    fn imu_bias(&self, carrier: Carrier) -> Option<[Vec3; 2]> {
+        (self.carrier == carrier).then_some([self.gyro_bias, self.accel_bias])
     }
 }
 

@@ -10,8 +10,10 @@ use crate::time::Stamp;
 
 /// Rotation and position: all of a later node that an edge to it touches.
 pub(super) const POSE_DIM: usize = 6;
+/// Side of the block that a turn of the chassis adds: all of the earlier node, the pose of the later.
+pub(super) const TURN_DIM: usize = STATE_DIM + POSE_DIM;
 
-/// A variable of a front: the node at `stamp`, by its first `dim` rows (6 or 15).
+/// A variable of a front: the node at `stamp`, by its first `dim` rows (6 or 16).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Variable {
     pub stamp: Stamp,
@@ -25,12 +27,12 @@ pub(super) struct Message {
     pub values: Vec<f64>,
 }
 
-/// How an eliminated node follows from later variables: the first 15 columns of the factorized front.
+/// How an eliminated node follows from later variables: the first 16 columns of the factorized front.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Conditional {
     /// Without the node itself.
     pub parents: Vec<Variable>,
-    /// (n + 1) × 15: L, then Y, then dᵀ.
+    /// (n + 1) × 16: L, then Y, then dᵀ.
     pub columns: Vec<f64>,
 }
 
@@ -176,7 +178,7 @@ impl Conditional {
         self.columns.len() / STATE_DIM - 1
     }
 
-    /// The node's δ, given the parents' in `solution[15..]`; written to `solution[..15]`.
+    /// The node's δ, given the parents' in `solution[16..]`; written to `solution[..16]`.
     pub fn solve(&self, solution: &mut [f64]) {
         let size = self.size();
         let stride = size + 1;
@@ -190,7 +192,7 @@ impl Conditional {
         }
     }
 
-    /// The lower-triangular L (15×15) of a node without parents.
+    /// The lower-triangular L (16×16) of a node without parents.
     pub fn lower(&self) -> nalgebra::SMatrix<f64, STATE_DIM, STATE_DIM> {
         let stride = self.size() + 1;
         nalgebra::SMatrix::from_fn(
@@ -201,8 +203,8 @@ impl Conditional {
     }
 }
 
-/// Factorizes the first 15 columns of the (size + 1) × size lower triangle and subtracts their part from
-/// the rest. Cost: about 15 size²/2 multiplications.
+/// Factorizes the first 16 columns of the (size + 1) × size lower triangle and subtracts their part from
+/// the rest. Cost: about 16 size²/2 multiplications.
 fn partial_cholesky(values: &mut [f64], size: usize) -> Result<(), NotPositive> {
     let stride = size + 1;
     for pivot in 0..STATE_DIM {

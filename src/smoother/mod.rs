@@ -10,10 +10,10 @@ mod node;
 
 use std::collections::VecDeque;
 
-use elimination::{Front, Message, POSE_DIM, Variable};
-use node::Node;
+use elimination::{Front, Message, POSE_DIM, TURN_DIM, Variable};
+use node::{Edge, Node};
 
-use crate::factors::{BetweenFactor, ImuFactor, PositionFactor};
+use crate::factors::{BetweenFactor, ImuFactor, PositionFactor, TurnFactor};
 use crate::lie::{Mat3, So3, Vec3};
 use crate::preintegration::{ImuNoise, Preintegration, SampleBuffer, propagate};
 use crate::sensors::ImuSample;
@@ -34,8 +34,9 @@ pub struct Options {
     /// Of the cabin IMU.
     pub noise: ImuNoise,
     /// A node is linearized anew when its estimate has moved further than this from where it was: rotation
-    /// (rad), position (m), velocity (m/s), gyro bias (rad/s), accelerometer bias (m/s²).
-    pub relinearize: [f64; 5],
+    /// (rad), position (m), velocity (m/s), gyro bias (rad/s), accelerometer bias (m/s²), chassis gyro bias
+    /// (rad/s).
+    pub relinearize: [f64; 6],
     /// Gauss-Newton iterations in one update, at most.
     pub iterations_max: usize,
 }
@@ -43,7 +44,7 @@ pub struct Options {
 impl Options {
     /// Thresholds at which the neglected second order stays under some micrometres.
     pub fn new(lag: Span, gravity: Vec3, noise: ImuNoise) -> Self {
-        Self { lag, gravity, noise, relinearize: [1.0e-3, 0.1, 0.1, 1.0e-3, 0.02], iterations_max: 4 }
+        Self { lag, gravity, noise, relinearize: [1.0e-3, 0.1, 0.1, 1.0e-3, 0.02, f64::INFINITY], iterations_max: 4 }
     }
 }
 
@@ -125,7 +126,7 @@ impl Smoother {
         &self.samples
     }
 
-    /// Starts the window at `stamp` with a state and the information (inverse covariance, 15×15, positive
+    /// Starts the window at `stamp` with a state and the information (inverse covariance, 16×16, positive
     /// definite) that is known of it. The samples must reach over `stamp`.
     ///
     /// # Errors
@@ -262,9 +263,26 @@ impl Smoother {
         later: Stamp,
         factor: BetweenFactor,
     ) -> Result<(), SmootherError> {
+        self.add_edge(earlier, later, Edge::Between(factor))
+    }
+
+    /// Ties two nodes by the turn of the chassis' gyroscope; `earlier` must be older.
+    ///
+    /// # Errors
+    /// If there is no node at one of the stamps.
+    pub fn add_turn(
+        &mut self,
+        earlier: Stamp,
+        later: Stamp,
+        factor: TurnFactor,
+    ) -> Result<(), SmootherError> {
+        self.add_edge(earlier, later, Edge::Turn(factor))
+    }
+
+    fn add_edge(&mut self, earlier: Stamp, later: Stamp, edge: Edge) -> Result<(), SmootherError> {
         debug_assert!(earlier < later, "an edge goes forward in time");
         let (from, to) = (self.index_of(earlier)?, self.index_of(later)?);
-        self.nodes[from].edges.push((later, factor));
+        self.nodes[from].edges.push((later, edge));
         let reached = self.nodes[to].reaches_back.map_or(earlier, |oldest| oldest.min(earlier));
         self.nodes[to].reaches_back = Some(reached);
         self.touch(from);
@@ -341,14 +359,23 @@ impl Smoother {
         if let Some(block) = node.position_block() {
             self.front.add_pair([0, 0], POSE_DIM, POSE_DIM, &block);
         }
-        for (later, factor) in &node.edges {
+        for (later, edge) in &node.edges {
             let target = self
                 .nodes
                 .binary_search_by_key(later, |candidate| candidate.stamp)
                 .expect("an edge's later end outlives its earlier end");
-            let block = node.edge_block(factor, &self.nodes[target].linearization);
+            let later_state = &self.nodes[target].linearization;
             let offsets = [0, self.front.offset(*later)];
-            self.front.add_pair(offsets, POSE_DIM, 2 * POSE_DIM, &block);
+            match edge {
+                Edge::Between(factor) => {
+                    let block = node.between_block(factor, later_state);
+                    self.front.add_pair(offsets, POSE_DIM, 2 * POSE_DIM, &block);
+                }
+                Edge::Turn(factor) => {
+                    let block = node.turn_block(factor, later_state);
+                    self.front.add_pair(offsets, STATE_DIM, TURN_DIM, &block);
+                }
+            }
         }
     }
 
@@ -565,6 +592,7 @@ pub fn predict_covariance(
         predicted[(row::ACCEL_BIAS + axis, row::ACCEL_BIAS + axis)] +=
             noise.accelerometer_random_walk.powi(2) * span;
     }
+    predicted[(row::BASE_GYRO_BIAS, row::BASE_GYRO_BIAS)] += noise.base_gyroscope_random_walk.powi(2) * span;
     (predicted + predicted.transpose()) * 0.5
 }
 

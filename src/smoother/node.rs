@@ -1,9 +1,9 @@
 //! One node of the window: a state at an exact stamp, and the factors it is the oldest part of.
 
-use super::elimination::{Conditional, Message, POSE_DIM, add_rows};
-use crate::factors::{BetweenFactor, ImuFactor, PositionFactor, huber_weight};
+use super::elimination::{Conditional, Message, POSE_DIM, TURN_DIM, add_rows};
+use crate::factors::{BetweenFactor, ImuFactor, PositionFactor, TurnFactor, huber_weight};
 use crate::lie::Vec3;
-use crate::state::{NavState, STATE_DIM, StateVector};
+use crate::state::{NavState, STATE_DIM, StateVector, row};
 use crate::time::Stamp;
 
 /// Side of the block that the IMU adds to two neighbours.
@@ -11,6 +11,15 @@ const PAIR_DIM: usize = 2 * STATE_DIM;
 /// Length of a lower triangle with its right-hand side, stored as in [`Message`].
 const fn block_len(size: usize) -> usize {
     size * (size + 1)
+}
+
+/// A factor that ties a node to a later one, not its neighbour.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Edge {
+    /// A relative pose.
+    Between(BetweenFactor),
+    /// A turn by the chassis' gyroscope.
+    Turn(TurnFactor),
 }
 
 pub(super) struct Node {
@@ -26,7 +35,7 @@ pub(super) struct Node {
     pub link_is_linear: bool,
     pub positions: Vec<PositionFactor>,
     /// To later nodes.
-    pub edges: Vec<(Stamp, BetweenFactor)>,
+    pub edges: Vec<(Stamp, Edge)>,
     /// The oldest node with an edge to this one.
     pub reaches_back: Option<Stamp>,
     /// What older nodes say of this one and of later ones.
@@ -115,8 +124,20 @@ impl Node {
         Some(block)
     }
 
-    /// An edge's block over both poses.
-    pub fn edge_block(&self, factor: &BetweenFactor, later: &NavState) -> [f64; block_len(2 * POSE_DIM)] {
+    /// A turn's block over this node and the later one's pose.
+    pub fn turn_block(&self, factor: &TurnFactor, later: &NavState) -> [f64; block_len(TURN_DIM)] {
+        let linear = factor.linearize(&self.linearization, later);
+        let mut row = [0.0; TURN_DIM];
+        row[row::ROTATION..row::ROTATION + 3].copy_from_slice(linear.rotation_i.as_slice());
+        row[row::BASE_GYRO_BIAS] = linear.base_gyro_bias;
+        row[STATE_DIM..STATE_DIM + 3].copy_from_slice(linear.rotation_j.as_slice());
+        let mut block = [0.0; block_len(TURN_DIM)];
+        add_rows(&mut block, std::iter::once((row, linear.residual)));
+        block
+    }
+
+    /// A relative pose's block over both poses.
+    pub fn between_block(&self, factor: &BetweenFactor, later: &NavState) -> [f64; block_len(2 * POSE_DIM)] {
         let linear = factor.linearize(&self.linearization, later);
         let mut block = [0.0; block_len(2 * POSE_DIM)];
         let rows = (0..POSE_DIM).map(|index| {

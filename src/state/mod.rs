@@ -14,10 +14,10 @@ use crate::lie::{Se3, So3, Vec3};
 use crate::time::Stamp;
 
 /// Dimensions of [`NavState`]'s tangent.
-pub const STATE_DIM: usize = 15;
+pub const STATE_DIM: usize = 16;
 /// Tangent of [`NavState`]: rotation (rad, right perturbation), position (m), velocity (m/s), gyro bias
-/// (rad/s), accelerometer bias (m/s²), three each; all but the rotation add in the world frame or IMU frame
-/// in which they are written.
+/// (rad/s), accelerometer bias (m/s²), three each, and the chassis gyro's bias (rad/s); all but the rotation add
+/// in the frame in which they are written.
 pub type StateVector = SVector<f64, STATE_DIM>;
 /// Matrix over tangents of [`NavState`].
 pub type StateMatrix = SMatrix<f64, STATE_DIM, STATE_DIM>;
@@ -34,9 +34,11 @@ pub mod row {
     pub const GYRO_BIAS: usize = 9;
     /// Accelerometer bias.
     pub const ACCEL_BIAS: usize = 12;
+    /// Bias of the chassis gyro about the turn axis; one row.
+    pub const BASE_GYRO_BIAS: usize = 15;
 }
 
-/// State of the cabin IMU in the site frame: an element of SO(3) × R¹².
+/// State of the cabin IMU in the site frame: an element of SO(3) × R¹³.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NavState {
     /// `world_from_imu`, orientation.
@@ -49,6 +51,8 @@ pub struct NavState {
     pub gyro_bias: Vec3,
     /// What the accelerometer reads too much, m/s², in the IMU frame.
     pub accel_bias: Vec3,
+    /// What the chassis' gyroscope reads at no rotation about the chassis' z, rad/s.
+    pub base_gyro_bias: f64,
 }
 
 impl NavState {
@@ -60,6 +64,7 @@ impl NavState {
             velocity: Vec3::zeros(),
             gyro_bias: Vec3::zeros(),
             accel_bias: Vec3::zeros(),
+            base_gyro_bias: 0.0,
         }
     }
 
@@ -72,6 +77,7 @@ impl NavState {
             velocity: self.velocity + part(row::VELOCITY),
             gyro_bias: self.gyro_bias + part(row::GYRO_BIAS),
             accel_bias: self.accel_bias + part(row::ACCEL_BIAS),
+            base_gyro_bias: self.base_gyro_bias + tangent[row::BASE_GYRO_BIAS],
         }
     }
 
@@ -83,6 +89,7 @@ impl NavState {
         tangent.fixed_rows_mut::<3>(row::VELOCITY).copy_from(&(self.velocity - origin.velocity));
         tangent.fixed_rows_mut::<3>(row::GYRO_BIAS).copy_from(&(self.gyro_bias - origin.gyro_bias));
         tangent.fixed_rows_mut::<3>(row::ACCEL_BIAS).copy_from(&(self.accel_bias - origin.accel_bias));
+        tangent[row::BASE_GYRO_BIAS] = self.base_gyro_bias - origin.base_gyro_bias;
         tangent
     }
 
@@ -94,7 +101,8 @@ impl NavState {
     /// Whether every number is finite.
     pub fn is_finite(&self) -> bool {
         let parts = [self.position, self.velocity, self.gyro_bias, self.accel_bias];
-        self.rotation.to_xyzw().iter().all(|part| part.is_finite())
+        self.base_gyro_bias.is_finite()
+            && self.rotation.to_xyzw().iter().all(|part| part.is_finite())
             && parts.iter().all(|part| part.iter().all(|value| value.is_finite()))
     }
 }
