@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::endpoint::{endpoints, listening};
 use super::{Checked, Violation, identifier, positive, violation, within};
-use crate::estimator::{self, GateOptions};
+use crate::estimator::{self, GateOptions, InOutage};
 use crate::frames::geodesy::{Geodetic, SiteFrame};
 use crate::frames::{self, Cabin, Pose};
 use crate::lie::{Se3, So3, Vec3};
@@ -136,6 +136,19 @@ pub struct LidarOdometry {
     pub increment_sigma_m: f64,
     /// Per axis, degrees.
     pub increment_sigma_deg: f64,
+    /// What poses are to the graph that holds through an outage.
+    pub in_outage: LidarInOutage,
+}
+
+/// What lidar poses are to the graph that holds through an outage.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LidarInOutage {
+    /// Each relative to the one before: right for odometry whose error walks.
+    #[default]
+    Relative,
+    /// Global, in a map that was fixed to the world at the loss (Nubert et al. 2022).
+    PseudoGlobal,
 }
 
 /// What is known of the GNSS receiver.
@@ -226,7 +239,7 @@ impl Default for BaseImu {
 
 impl Default for LidarOdometry {
     fn default() -> Self {
-        Self { increment_sigma_m: 0.006, increment_sigma_deg: 0.05 }
+        Self { increment_sigma_m: 0.006, increment_sigma_deg: 0.05, in_outage: LidarInOutage::Relative }
     }
 }
 
@@ -350,6 +363,10 @@ impl Machine {
                 self.lidar_odometry.increment_sigma_deg.to_radians(),
                 self.lidar_odometry.increment_sigma_m,
             ],
+            lidar_in_outage: match self.lidar_odometry.in_outage {
+                LidarInOutage::Relative => InOutage::Relative,
+                LidarInOutage::PseudoGlobal => InOutage::PseudoGlobal,
+            },
             gate: GateOptions {
                 sigma_floor_m: self.gnss.sigma_floor_m,
                 sigma_max_m: self.gnss.sigma_max_m,

@@ -72,6 +72,10 @@ pub(super) struct Judgement {
     pub refusal: Option<String>,
     /// Squared innovation over its limit; over 1 is a contradiction.
     pub test_ratio: f64,
+    /// It is where the estimate expects it.
+    pub agrees: bool,
+    /// While trust is lost: it is one of several good fixes in a row that agree with the estimate.
+    pub on_trial: bool,
     /// Trust was lost or came back with this fix.
     pub turn: Option<Turn>,
 }
@@ -167,6 +171,11 @@ impl Gate {
         solved.map_or(f64::INFINITY, |solved| innovation.dot(&solved) / INNOVATION_LIMIT)
     }
 
+    /// Test ratio up to which a fix agrees with the estimate.
+    fn ratio_limit(&self) -> f64 {
+        if self.trusted { 1.0 } else { RETURN_LIMIT / INNOVATION_LIMIT }
+    }
+
     /// Judges the fix of the left antenna.
     pub fn judge(&mut self, candidate: Candidate) -> Judgement {
         if let Some(heard) = self.last_heard {
@@ -175,6 +184,7 @@ impl Gate {
         }
         self.last_heard = Some(candidate.stamp);
         let test_ratio = self.test_ratio(&candidate);
+        let agrees = test_ratio <= self.ratio_limit();
         let (cause, refusal) = self.find_fault(&candidate, test_ratio).unzip();
         let turn = match cause {
             Some(cause) => self.note_bad(cause, candidate.stamp),
@@ -185,7 +195,8 @@ impl Gate {
         if used {
             self.last_used = Some(candidate.stamp);
         }
-        Judgement { used, refusal, test_ratio, turn }
+        let on_trial = cause.is_none() && !self.trusted && agrees && self.good_in_row >= GOOD_TO_TELL;
+        Judgement { used, refusal, test_ratio, agrees, on_trial, turn }
     }
 
     fn find_fault(&mut self, candidate: &Candidate, test_ratio: f64) -> Option<(GnssState, String)> {
@@ -200,7 +211,7 @@ impl Gate {
         if let Some(reason) = self.too_fast(candidate) {
             return Some((GnssState::Jumping, reason));
         }
-        let limit = if self.trusted { 1.0 } else { RETURN_LIMIT / INNOVATION_LIMIT };
+        let limit = self.ratio_limit();
         if test_ratio <= limit {
             // One that agrees by chance does not end a contradiction.
             let agreed = 2 * (self.good_in_row + 1) >= self.options.fixes_to_return;

@@ -9,8 +9,10 @@
 mod alignment;
 mod chassis_turn;
 mod gate;
+mod graphs;
 mod inbox;
 mod initialization;
+mod lidar;
 mod monitor;
 mod options;
 mod predictor;
@@ -19,7 +21,7 @@ mod ties;
 mod updater;
 
 pub use gate::Options as GateOptions;
-pub use options::{Initialization, Options};
+pub use options::{InOutage, Initialization, Options};
 pub use predictor::Predictor;
 pub use updater::Updater;
 

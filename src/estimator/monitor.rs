@@ -3,8 +3,8 @@
 use crate::lie::Vec3;
 use crate::sensors::Sensor;
 use crate::state::{
-    Event, EventKind, GnssState, Health, Mode, NavState, OutageReport, SensorHealth, Severity, StateMatrix,
-    row,
+    Event, EventKind, GnssState, Graph, Health, Mode, NavState, OutageReport, SensorHealth, Severity,
+    StateMatrix, row,
 };
 use crate::time::{Span, Stamp};
 
@@ -86,6 +86,13 @@ impl Monitor {
         };
         self.push(Event::new(stamp, severity, EventKind::ModeChanged { from: self.mode, to: mode }));
         self.mode = mode;
+    }
+
+    pub fn note_graph(&mut self, stamp: Stamp, from: Graph, to: Graph, why: &str) {
+        if from != to {
+            let what = EventKind::GraphChanged { from, to, reason: why.to_owned() };
+            self.push(Event::new(stamp, Severity::Info, what));
+        }
     }
 
     pub fn note_gnss(&mut self, stamp: Stamp, from: GnssState, to: GnssState) {

@@ -30,10 +30,22 @@ pub struct Options {
     pub antenna_right: Option<Vec3>,
     /// One sigma of a lidar increment: rad, m.
     pub lidar_sigma: [f64; 2],
+    /// What lidar poses are to the fallback graph.
+    pub lidar_in_outage: InOutage,
     /// What is believed.
     pub gate: gate::Options,
     /// How the estimate starts.
     pub initialization: Initialization,
+}
+
+/// What lidar poses are to the fallback graph.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum InOutage {
+    /// Relative to the pose before, or after a gap to the newest that was used.
+    #[default]
+    Relative,
+    /// Global, in a map that was fixed to the world at the loss: the paper's form.
+    PseudoGlobal,
 }
 
 /// How the estimate starts.

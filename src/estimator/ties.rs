@@ -1,70 +1,28 @@
-//! Edges between two nodes: by lidar odometry, by a chassis that stood, and by how its gyroscope turned.
+//! Edges between two nodes: by a chassis that stood, and by how its gyroscope turned. Both graphs get them; the one
+//! that answers says what agrees.
 
 use super::chassis_turn::{self, ChassisTurn};
+use super::graphs::Graphs;
 use super::options::Options;
 use super::standstill::{Standstill, TIE_EVERY, TIE_SIGMA, imu_from_base, stands};
 use crate::factors::{BetweenFactor, TurnFactor};
-use crate::frames::{Lidar, Pose, World};
 use crate::lie::Se3;
-use crate::sensors::LidarPose;
-use crate::smoother::{Smoother, SmootherError};
-use crate::time::Stamp;
 
-/// A lidar increment that differs so much from the prediction is wrong: m, rad.
-const LIDAR_MISFIT_MAX: [f64; 2] = [0.5, 0.2];
 /// A chassis gyroscope further from the estimate has a wrong encoder beside it, rad/s: any bias is less.
 const TURN_MISFIT_MAX: f64 = 0.03;
 /// A chassis that the estimate moves so far between two ties does not stand: m, rad.
 const TIE_MISFIT_MAX: [f64; 2] = [0.02, 0.002];
 
-/// Ties the nodes of two lidar poses. The inner error says how the increment misfits the prediction.
-pub(super) fn tie_lidar(
-    smoother: &mut Smoother,
-    options: &Options,
-    from: &LidarPose,
-    to: &LidarPose,
-) -> Result<Result<(), String>, SmootherError> {
-    let earlier = smoother.node_at(from.stamp)?;
-    let later = smoother.node_at(to.stamp)?;
-    if later <= earlier {
-        return Ok(Ok(()));
-    }
-    let lidar_at = |stamp: Stamp| -> Option<Pose<World, Lidar>> {
-        Some(smoother.state_at(stamp)?.world_from_imu() * options.imu_from_lidar)
-    };
-    let states = (lidar_at(earlier), lidar_at(from.stamp), lidar_at(to.stamp), lidar_at(later));
-    let (Some(at_earlier), Some(at_from), Some(at_to), Some(at_later)) = states else {
-        return Err(SmootherError::NotStarted);
-    };
-    let seen = from.lidarmap_from_lidar.inverse() * to.lidarmap_from_lidar;
-    let misfit = (at_from.inverse() * at_to).inverse() * seen;
-    let (shift_m, turn) = (misfit.translation().norm(), misfit.rotation().log().norm());
-    if shift_m > LIDAR_MISFIT_MAX[0] || turn > LIDAR_MISFIT_MAX[1] {
-        return Ok(Err(format!(
-            "its increment is {shift_m:.2} m and {:.1}° from the predicted one",
-            turn.to_degrees()
-        )));
-    }
-    // From the stamps of the poses to those of the nodes, by the motion in between.
-    let measured = (at_earlier.inverse() * at_from) * seen * (at_to.inverse() * at_later);
-    let factor = BetweenFactor {
-        measured: *measured.motion(),
-        imu_from_sensor: *options.imu_from_lidar.motion(),
-        sigma: options.lidar_sigma,
-    };
-    smoother.add_between(earlier, later, factor)?;
-    Ok(Ok(()))
-}
-
 /// Ties two nodes of one standstill, if a second has gone by since the last tie. With `cabin_turns`, it is the
 /// chassis that was watched, and the cabin may have turned in between; else all of the machine stood.
 pub(super) fn tie_chassis(
-    smoother: &mut Smoother,
+    graphs: &mut Graphs,
     options: &Options,
     standstill: &mut Standstill,
     cabin_turns: bool,
 ) {
     let Some((since, until)) = standstill.certain() else { return };
+    let smoother = graphs.active();
     let oldest = smoother.oldest_stamp().unwrap_or(since);
     let from = standstill.tied.filter(|tied| *tied >= oldest).or_else(|| smoother.node_after(since));
     let (Some(from), Some(to)) = (from, smoother.node_before(until)) else { return };
@@ -90,19 +48,22 @@ pub(super) fn tie_chassis(
         return;
     }
     let factor = BetweenFactor { measured, imu_from_sensor: Se3::identity(), sigma: TIE_SIGMA };
-    if smoother.add_between(from, to, factor).is_ok() {
+    if graphs.add_between(from, to, factor).is_ok() {
         standstill.tied = Some(to);
     }
 }
 
 /// Ties two nodes by the turn of the chassis' gyroscope, if a second has gone by since the last tie.
 pub(super) fn tie_turn(
-    smoother: &mut Smoother,
+    graphs: &mut Graphs,
     options: &Options,
     chassis: &mut ChassisTurn,
     standstill: &Standstill,
 ) {
-    let (Some((since, until)), Some(newest_turn)) = (chassis.covered(), standstill.newest_turn()) else { return };
+    let (Some((since, until)), Some(newest_turn)) = (chassis.covered(), standstill.newest_turn()) else {
+        return;
+    };
+    let smoother = graphs.active();
     let oldest = smoother.oldest_stamp().unwrap_or(since);
     let from = chassis.tied.filter(|tied| *tied >= oldest).or_else(|| smoother.node_after(since.max(oldest)));
     let (Some(from), Some(to)) = (from, smoother.node_before(until.min(newest_turn))) else { return };
@@ -110,7 +71,9 @@ pub(super) fn tie_turn(
         return;
     }
     chassis.tied = Some(to);
-    let (Some(from_angle), Some(to_angle)) = (standstill.turn_at(from), standstill.turn_at(to)) else { return };
+    let (Some(from_angle), Some(to_angle)) = (standstill.turn_at(from), standstill.turn_at(to)) else {
+        return;
+    };
     let (Some(state_from), Some(state_to)) = (smoother.state_at(from), smoother.state_at(to)) else { return };
     let Some(measured) = chassis.turned(from, to, state_from.base_gyro_bias) else { return };
     let span_s = to.seconds_since(from);
@@ -123,7 +86,8 @@ pub(super) fn tie_turn(
     };
     let misfit = factor.residual(&state_from, &state_to) * factor.sigma;
     if misfit.abs() < TURN_MISFIT_MAX * span_s {
+        graphs.in_passive(from, to, |main| main.add_turn(from, to, factor));
         // Both ends are nodes of the window.
-        let _ = smoother.add_turn(from, to, factor);
+        let _ = graphs.active_mut().add_turn(from, to, factor);
     }
 }

@@ -1,14 +1,16 @@
 //! The slow half: from readings to solutions.
 //!
 //! Measurements wait until the IMU has come so far, pass the gate, become factors at nodes of their exact
-//! stamps, and the smoother is brought up to date; each update ends in a [`Solution`] for the predictor.
+//! stamps, and the graphs are brought up to date; each update ends in a [`Solution`] for the predictor.
 
 use std::collections::VecDeque;
 
 use super::chassis_turn::ChassisTurn;
-use super::gate::{Candidate, Gate, Turn};
+use super::gate::{Candidate, Gate, Judgement, Turn};
+use super::graphs::Graphs;
 use super::inbox::{Admission, Inbox};
 use super::initialization::{Initializer, Start};
+use super::lidar::{LidarTrack, Taken};
 use super::monitor::Monitor;
 use super::options::Options;
 use super::standstill::{Standstill, Stillness};
@@ -18,7 +20,7 @@ use crate::factors::PositionFactor;
 use crate::lie::Vec3;
 use crate::sensors::{Arrival, GnssFix, ImuSample, LidarPose, Reading, Sensor};
 use crate::smoother::{Smoother, SmootherError, predicted_position_covariance};
-use crate::state::{Event, GnssState, Health, Mode, NavState, row};
+use crate::state::{Event, GnssState, Graph, Health, Mode, NavState, row};
 use crate::time::{Span, Stamp};
 
 /// Huber's threshold of fixes that pass the gate, in sigmas.
@@ -27,8 +29,6 @@ const HUBER_THRESHOLD: f64 = 5.0;
 const AHEAD_MAX: Span = Span::from_millis(1_000);
 /// Without measurements, a node is set so often, so that links stay short.
 const NODE_EVERY: Span = Span::from_millis(500);
-/// Lidar poses further apart than this are not tied: its odometry has restarted or lost much.
-const LIDAR_GAP_MAX: Span = Span::from_millis(1_100);
 /// Without lidar for so long, the IMU is alone.
 const LIDAR_SILENCE: Span = Span::from_millis(1_500);
 /// What a wrong estimate may be off in rotation (rad) and velocity (m/s), beside position.
@@ -56,9 +56,9 @@ enum Phase {
 
 /// What exists once the estimate has started.
 struct Running {
-    smoother: Smoother,
+    graphs: Graphs,
     gate: Gate,
-    last_lidar: Option<LidarPose>,
+    lidar: LidarTrack,
     last_left: Option<GnssFix>,
     restart: bool,
 }
@@ -112,7 +112,7 @@ impl Updater {
                     self.standstill.push_sample(sample);
                 }
                 match &mut self.phase {
-                    Phase::Running(running) => running.smoother.push_sample(sample),
+                    Phase::Running(running) => running.graphs.push_sample(sample),
                     Phase::Waiting(initializer) => {
                         let start = initializer.push(&reading)?;
                         return self.begin(start);
@@ -165,14 +165,14 @@ impl Updater {
         let turn = running.gate.notice_silence(imu);
         let after = running.gate.state();
         self.monitor.note_gnss(imu, before, after);
-        self.note_turn(turn, imu, None);
-        let Phase::Running(running) = &mut self.phase else { return solution };
-        let newest = running.smoother.newest().map_or(imu, |(stamp, _)| stamp);
-        if imu - newest > NODE_EVERY {
-            let outcome = running.smoother.node_at(imu).map(|_| ());
-            return self.solve(Sensor::Imu, outcome.map(|()| true), imu).or(solution);
+        if after == GnssState::Silent {
+            self.move_graphs(imu, Graphs::end_trial, "fixes fell silent");
         }
-        solution
+        self.note_turn(turn, imu, None);
+        match self.bare_node(imu) {
+            Ok(false) => solution,
+            outcome => self.solve(Sensor::Imu, outcome, imu).or(solution),
+        }
     }
 
     fn process(&mut self, reading: &Reading) -> Option<Box<Solution>> {
@@ -199,20 +199,26 @@ impl Updater {
         let judgement = running.gate.judge(candidate);
         let (after, used) = (running.gate.state(), judgement.used);
         self.monitor.note_test(self.now, Sensor::GnssLeft, judgement.test_ratio);
-        if let Some(reason) = judgement.refusal {
-            self.refuse(Sensor::GnssLeft, reason);
+        if let Some(reason) = &judgement.refusal {
+            self.refuse(Sensor::GnssLeft, reason.clone());
         }
         self.monitor.note_gnss(fix.stamp, before, after);
-        let contradicts = judgement.turn == Some(Turn::Recovered) && judgement.test_ratio > 1.0;
+        let contradicts = judgement.turn == Some(Turn::Recovered) && !judgement.agrees;
+        self.move_graphs_after(&judgement, fix.stamp, contradicts);
         let outcome = match (used, contradicts) {
             (true, true) => self.reseat(&candidate),
             (true, false) => self.add_fix(fix, &lever_arm),
-            (false, _) => self.bare_node(fix.stamp),
+            (false, _) => {
+                if judgement.on_trial {
+                    self.try_fix(fix, &lever_arm);
+                }
+                self.bare_node(fix.stamp)
+            }
         };
         let expected = candidate.expected;
         let solution = self.solve(Sensor::GnssLeft, outcome, fix.stamp);
         let corrected = match &self.phase {
-            Phase::Running(running) => running.smoother.state_at(fix.stamp),
+            Phase::Running(running) => running.graphs.active().state_at(fix.stamp),
             Phase::Waiting(_) => None,
         };
         let jump_m = corrected.map(|state| (state.position + state.rotation * lever_arm - expected).norm());
@@ -223,7 +229,8 @@ impl Updater {
     fn process_right(&mut self, fix: &GnssFix) -> Option<Box<Solution>> {
         let Phase::Running(running) = &mut self.phase else { return None };
         let lever_arm = self.options.antenna_right?;
-        if !running.gate.trusted() {
+        let trusted = running.gate.trusted();
+        if !trusted && running.graphs.state() != Graph::Trial {
             return None;
         }
         let candidate = match candidate(running, &self.options, fix, &lever_arm) {
@@ -245,35 +252,71 @@ impl Updater {
             self.refuse(Sensor::GnssRight, reason);
             return None;
         }
+        if !trusted {
+            self.try_fix(fix, &lever_arm);
+            return None;
+        }
         let outcome = self.add_fix(fix, &lever_arm);
         self.solve(Sensor::GnssRight, outcome, fix.stamp)
     }
 
-    /// Ties a node to a fix; the fix is moved by the motion between its stamp and the node's.
+    /// Ties a node of main, which answers, to a fix.
     fn add_fix(&mut self, fix: &GnssFix, lever_arm: &Vec3) -> Result<bool, SmootherError> {
         let Phase::Running(running) = &mut self.phase else { return Ok(false) };
-        let node = running.smoother.node_at(fix.stamp)?;
-        let mut measured = self.options.site.to_enu(fix.position);
-        if node != fix.stamp
-            && let (Some(at_node), Some(at_fix)) =
-                (running.smoother.state_at(node), running.smoother.state_at(fix.stamp))
-        {
-            measured += antenna(&at_node, lever_arm) - antenna(&at_fix, lever_arm);
-        }
-        let factor = PositionFactor {
-            measured,
-            lever_arm: *lever_arm,
-            sigma: running.gate.usable_sigma(&fix.sigma_enu_m),
-            huber_threshold: HUBER_THRESHOLD,
-        };
-        running.smoother.add_position(node, factor)?;
+        let sigma = running.gate.usable_sigma(&fix.sigma_enu_m);
+        let measured = self.options.site.to_enu(fix.position);
+        let main = running.graphs.active_mut();
+        let (node, factor) = position_factor(main, fix.stamp, measured, lever_arm, sigma)?;
+        main.add_position(node, factor)?;
         Ok(true)
+    }
+
+    /// Gives main, while fallback answers, a fix that may be one of those that end the outage.
+    fn try_fix(&mut self, fix: &GnssFix, lever_arm: &Vec3) {
+        let Phase::Running(running) = &mut self.phase else { return };
+        let sigma = running.gate.usable_sigma(&fix.sigma_enu_m);
+        let measured = self.options.site.to_enu(fix.position);
+        let from = running.graphs.state();
+        let Some(main) = running.graphs.passive_mut() else { return };
+        let tried = position_factor(main, fix.stamp, measured, lever_arm, sigma)
+            .and_then(|(node, factor)| running.graphs.try_position(node, factor));
+        if tried.is_err() {
+            running.graphs.end_trial();
+        }
+        let to = running.graphs.state();
+        self.monitor.note_graph(fix.stamp, from, to, "good fixes have come back");
+    }
+
+    /// Moves the graphs, and tells if that changed who answers.
+    fn move_graphs(&mut self, stamp: Stamp, how: impl FnOnce(&mut Graphs), why: &str) {
+        let Phase::Running(running) = &mut self.phase else { return };
+        let from = running.graphs.state();
+        how(&mut running.graphs);
+        self.monitor.note_graph(stamp, from, running.graphs.state(), why);
+    }
+
+    /// The graphs follow what the gate said of a fix.
+    fn move_graphs_after(&mut self, judgement: &Judgement, stamp: Stamp, contradicts: bool) {
+        match judgement.turn {
+            Some(Turn::Recovered) if contradicts => {
+                let why = "fixes contradicted the estimate for so long that they are right";
+                self.move_graphs(stamp, Graphs::recover, why);
+            }
+            Some(Turn::Recovered) => self.move_graphs(stamp, Graphs::recover, "fixes are good again"),
+            Some(Turn::Lost { .. }) => {}
+            None => {
+                if judgement.refusal.is_some() {
+                    self.move_graphs(stamp, Graphs::end_trial, "a fix on trial was bad");
+                }
+            }
+        }
     }
 
     /// The estimate was wrong: starts the window anew where the fix says, no surer than the error it had.
     fn reseat(&mut self, candidate: &Candidate) -> Result<bool, SmootherError> {
         let Phase::Running(running) = &mut self.phase else { return Ok(false) };
-        let Some((mut state, mut covariance)) = running.smoother.predict(candidate.stamp) else {
+        let main = running.graphs.active_mut();
+        let Some((mut state, mut covariance)) = main.predict(candidate.stamp) else {
             return Ok(false);
         };
         let error = candidate.position - candidate.expected;
@@ -284,41 +327,44 @@ impl Updater {
             covariance[(row::VELOCITY + axis, row::VELOCITY + axis)] += RESEAT_VELOCITY_SIGMA.powi(2);
         }
         let information = covariance.try_inverse().ok_or(SmootherError::NotDetermined)?;
-        running.last_lidar = None;
-        running.smoother.start(candidate.stamp, state, &information)?;
+        main.start(candidate.stamp, state, &information)?;
+        running.lidar.forget();
         Ok(true)
     }
 
     /// A node without measurement, if the newest has grown old.
     fn bare_node(&mut self, stamp: Stamp) -> Result<bool, SmootherError> {
         let Phase::Running(running) = &mut self.phase else { return Ok(false) };
-        let newest = running.smoother.newest().map_or(stamp, |(newest, _)| newest);
+        let active = running.graphs.active_mut();
+        let newest = active.newest().map_or(stamp, |(newest, _)| newest);
         if stamp - newest <= NODE_EVERY {
             return Ok(false);
         }
-        running.smoother.node_at(stamp).map(|_| true)
+        let node = active.node_at(stamp)?;
+        if let Some(main) = running.graphs.passive_mut() {
+            main.node_at(node)?;
+        }
+        Ok(true)
     }
 
     fn process_lidar(&mut self, pose: &LidarPose) -> Option<Box<Solution>> {
         let Phase::Running(running) = &mut self.phase else { return None };
-        let last = running.last_lidar.replace(*pose);
-        let oldest = running.smoother.oldest_stamp().unwrap_or(pose.stamp);
-        let last = last.filter(|last| last.stamp >= oldest && pose.stamp - last.stamp <= LIDAR_GAP_MAX)?;
-        let outcome = ties::tie_lidar(&mut running.smoother, &self.options, &last, pose);
-        match outcome {
-            Ok(Ok(())) => self.solve(Sensor::LidarOdometry, Ok(true), pose.stamp),
-            Ok(Err(misfit)) => {
+        let solution = match running.lidar.take(&mut running.graphs, &self.options, pose) {
+            Ok(Taken::Used) => self.solve(Sensor::LidarOdometry, Ok(true), pose.stamp),
+            Ok(Taken::First) => None,
+            Ok(Taken::Refused(misfit)) => {
                 self.refuse(Sensor::LidarOdometry, misfit);
                 None
             }
             Err(error) => {
-                if let Phase::Running(running) = &mut self.phase {
-                    running.last_lidar = Some(last);
-                }
                 self.refuse(Sensor::LidarOdometry, error.to_string());
-                None
+                return None;
             }
+        };
+        if let Phase::Running(running) = &mut self.phase {
+            running.lidar.anchor(&mut running.graphs, &self.options);
         }
+        solution
     }
 
     /// Updates the smoother and makes a solution of its newest node.
@@ -334,11 +380,11 @@ impl Updater {
         let Phase::Running(running) = &mut self.phase else { return None };
         let updated = match outcome {
             Ok(false) => return None,
-            Ok(true) => running.smoother.update(),
+            Ok(true) => running.graphs.update(),
             Err(error) => Err(error),
         };
         match updated {
-            Ok(_) => {}
+            Ok(()) => {}
             Err(SmootherError::NotDetermined | SmootherError::NotStarted) => {
                 self.begin_anew("the estimate was no longer determined by its measurements");
                 return None;
@@ -348,12 +394,12 @@ impl Updater {
                 return None;
             }
         }
-        let (newest, state) = running.smoother.newest()?;
+        let (newest, state) = running.graphs.active().newest()?;
         if !state.is_finite() {
             self.begin_anew("the estimate was no longer finite");
             return None;
         }
-        let covariance = *running.smoother.newest_covariance();
+        let covariance = *running.graphs.active().newest_covariance();
         let restart = std::mem::take(&mut running.restart);
         let trusted = running.gate.trusted();
         let mode = self.mode(trusted, stamp);
@@ -365,8 +411,8 @@ impl Updater {
     fn tie_chassis(&mut self) {
         let Phase::Running(running) = &mut self.phase else { return };
         let turns = self.inbox.newest(Sensor::BaseImu).is_some();
-        ties::tie_chassis(&mut running.smoother, &self.options, &mut self.standstill, turns);
-        ties::tie_turn(&mut running.smoother, &self.options, &mut self.chassis_turn, &self.standstill);
+        ties::tie_chassis(&mut running.graphs, &self.options, &mut self.standstill, turns);
+        ties::tie_turn(&mut running.graphs, &self.options, &mut self.chassis_turn, &self.standstill);
     }
 
     fn mode(&self, gnss_trusted: bool, now: Stamp) -> Mode {
@@ -392,9 +438,9 @@ impl Updater {
         gate.begin_trusted(start.stamp);
         self.monitor.note_start(start.stamp, start.heading_from, start.heading_sigma);
         self.phase = Phase::Running(Box::new(Running {
-            smoother,
+            graphs: Graphs::new(smoother),
             gate,
-            last_lidar: None,
+            lidar: LidarTrack::default(),
             last_left: None,
             restart: true,
         }));
@@ -432,6 +478,7 @@ impl Updater {
         match turn {
             None => {}
             Some(Turn::Lost { since }) => {
+                self.move_graphs(stamp, Graphs::lose, "fixes are lost");
                 self.monitor.begin_outage(stamp, since, cause);
             }
             Some(Turn::Recovered) => self.monitor.end_outage(stamp, jump_m),
@@ -486,6 +533,25 @@ fn antenna(state: &NavState, lever_arm: &Vec3) -> Vec3 {
     state.position + state.rotation * *lever_arm
 }
 
+/// The factor of an antenna's position in the world, and the node it ties; the position is moved by the motion
+/// between its stamp and the node's.
+fn position_factor(
+    smoother: &mut Smoother,
+    stamp: Stamp,
+    mut measured: Vec3,
+    lever_arm: &Vec3,
+    sigma: Vec3,
+) -> Result<(Stamp, PositionFactor), SmootherError> {
+    let node = smoother.node_at(stamp)?;
+    if node != stamp
+        && let (Some(at_node), Some(at_fix)) = (smoother.state_at(node), smoother.state_at(stamp))
+    {
+        measured += antenna(&at_node, lever_arm) - antenna(&at_fix, lever_arm);
+    }
+    let factor = PositionFactor { measured, lever_arm: *lever_arm, sigma, huber_threshold: HUBER_THRESHOLD };
+    Ok((node, factor))
+}
+
 /// Why two antennas of one epoch contradict their known baseline, if they do.
 fn baseline_refusal(options: &Options, left: &GnssFix, right: &GnssFix) -> Option<String> {
     let apart = right.stamp - left.stamp;
@@ -506,10 +572,10 @@ fn candidate(
     fix: &GnssFix,
     lever_arm: &Vec3,
 ) -> Result<Candidate, SmootherError> {
-    let oldest = running.smoother.oldest_stamp().unwrap_or(fix.stamp);
+    let smoother = running.graphs.active();
+    let oldest = smoother.oldest_stamp().unwrap_or(fix.stamp);
     let behind_s = oldest.seconds_since(fix.stamp);
-    let (state, covariance) =
-        running.smoother.predict(fix.stamp).ok_or(SmootherError::TooOld { behind_s })?;
+    let (state, covariance) = smoother.predict(fix.stamp).ok_or(SmootherError::TooOld { behind_s })?;
     Ok(Candidate {
         stamp: fix.stamp,
         position: options.site.to_enu(fix.position),

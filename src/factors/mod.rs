@@ -6,6 +6,7 @@
 
 mod between;
 mod imu;
+mod pose;
 mod position;
 mod robust;
 mod turn;
@@ -15,6 +16,7 @@ mod differences;
 
 pub use between::{BetweenFactor, LinearBetween};
 pub use imu::{ImuFactor, LinearImu};
+pub use pose::{LinearPose, PoseFactor};
 pub use position::{LinearPosition, PositionFactor};
 pub use robust::huber_weight;
 pub use turn::{LinearTurn, TurnFactor};

@@ -80,7 +80,10 @@ mod tests {
             measured: So3::from_yaw_pitch_roll(0.9, 0.1, -0.2),
             base_gyro_bias: 1e-3,
             span_s: 1.2,
-            imu_from_base: [So3::from_yaw_pitch_roll(0.4, 0.1, 3.0), So3::from_yaw_pitch_roll(-0.3, 0.1, 3.0)],
+            imu_from_base: [
+                So3::from_yaw_pitch_roll(0.4, 0.1, 3.0),
+                So3::from_yaw_pitch_roll(-0.3, 0.1, 3.0),
+            ],
             sigma: 3e-4,
         };
         for pair in differences::states().windows(2) {

@@ -165,7 +165,8 @@ impl Simulation {
             self.sensors.iter().find_map(|sensor| sensor.source.imu_bias(Carrier::Cabin)).unwrap_or_default();
         let [base_gyro_bias, _] =
             self.sensors.iter().find_map(|sensor| sensor.source.imu_bias(Carrier::Base)).unwrap_or_default();
-        let base_gyro_bias = (self.machine.frames.base_from_base_imu.pose::<(), ()>().rotation() * base_gyro_bias).z;
+        let base_gyro_bias =
+            (self.machine.frames.base_from_base_imu.pose::<(), ()>().rotation() * base_gyro_bias).z;
         Truth {
             stamp,
             state: NavState {

@@ -13,7 +13,7 @@ use std::collections::VecDeque;
 use elimination::{Front, Message, POSE_DIM, TURN_DIM, Variable};
 use node::{Edge, Node};
 
-use crate::factors::{BetweenFactor, ImuFactor, PositionFactor, TurnFactor};
+use crate::factors::{BetweenFactor, ImuFactor, PoseFactor, PositionFactor, TurnFactor};
 use crate::lie::{Mat3, So3, Vec3};
 use crate::preintegration::{ImuNoise, Preintegration, SampleBuffer, propagate};
 use crate::sensors::ImuSample;
@@ -44,7 +44,13 @@ pub struct Options {
 impl Options {
     /// Thresholds at which the neglected second order stays under some micrometres.
     pub fn new(lag: Span, gravity: Vec3, noise: ImuNoise) -> Self {
-        Self { lag, gravity, noise, relinearize: [1.0e-3, 0.1, 0.1, 1.0e-3, 0.02, f64::INFINITY], iterations_max: 4 }
+        Self {
+            lag,
+            gravity,
+            noise,
+            relinearize: [1.0e-3, 0.1, 0.1, 1.0e-3, 0.02, f64::INFINITY],
+            iterations_max: 4,
+        }
     }
 }
 
@@ -83,6 +89,7 @@ pub struct UpdateStats {
 }
 
 /// The window. See the room's first lines.
+#[derive(Clone)]
 pub struct Smoother {
     options: Options,
     samples: SampleBuffer,
@@ -253,7 +260,18 @@ impl Smoother {
         Ok(())
     }
 
-    /// Ties two nodes by lidar odometry; `earlier` must be older.
+    /// Ties a node to a pose in the world.
+    ///
+    /// # Errors
+    /// If there is no node at that stamp.
+    pub fn add_pose(&mut self, node: Stamp, factor: PoseFactor) -> Result<(), SmootherError> {
+        let index = self.index_of(node)?;
+        self.nodes[index].poses.push(factor);
+        self.touch(index);
+        Ok(())
+    }
+
+    /// Ties two nodes by a relative pose; `earlier` must be older.
     ///
     /// # Errors
     /// If there is no node at one of the stamps.
@@ -356,7 +374,7 @@ impl Smoother {
             let offsets = [0, self.front.offset(stamp)];
             self.front.add_pair(offsets, split, size, &node.link_block);
         }
-        if let Some(block) = node.position_block() {
+        if let Some(block) = node.pose_block() {
             self.front.add_pair([0, 0], POSE_DIM, POSE_DIM, &block);
         }
         for (later, edge) in &node.edges {

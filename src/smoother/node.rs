@@ -1,7 +1,7 @@
 //! One node of the window: a state at an exact stamp, and the factors it is the oldest part of.
 
 use super::elimination::{Conditional, Message, POSE_DIM, TURN_DIM, add_rows};
-use crate::factors::{BetweenFactor, ImuFactor, PositionFactor, TurnFactor, huber_weight};
+use crate::factors::{BetweenFactor, ImuFactor, PoseFactor, PositionFactor, TurnFactor, huber_weight};
 use crate::lie::Vec3;
 use crate::state::{NavState, STATE_DIM, StateVector, row};
 use crate::time::Stamp;
@@ -22,6 +22,7 @@ pub(super) enum Edge {
     Turn(TurnFactor),
 }
 
+#[derive(Clone)]
 pub(super) struct Node {
     pub stamp: Stamp,
     /// Where the factors are linearized.
@@ -34,6 +35,7 @@ pub(super) struct Node {
     pub link_block: [f64; block_len(PAIR_DIM)],
     pub link_is_linear: bool,
     pub positions: Vec<PositionFactor>,
+    pub poses: Vec<PoseFactor>,
     /// To later nodes.
     pub edges: Vec<(Stamp, Edge)>,
     /// The oldest node with an edge to this one.
@@ -53,6 +55,7 @@ impl Node {
             link_block: [0.0; block_len(PAIR_DIM)],
             link_is_linear: false,
             positions: Vec::new(),
+            poses: Vec::new(),
             edges: Vec::new(),
             reaches_back: None,
             incoming: Message::default(),
@@ -68,6 +71,7 @@ impl Node {
         self.link = None;
         self.link_is_linear = false;
         self.positions.clear();
+        self.poses.clear();
         self.edges.clear();
         self.reaches_back = None;
         self.incoming.clear();
@@ -104,9 +108,9 @@ impl Node {
         self.link_is_linear = true;
     }
 
-    /// The position factors' block over this node's pose, weighted by their losses at the estimate.
-    pub fn position_block(&self) -> Option<[f64; block_len(POSE_DIM)]> {
-        if self.positions.is_empty() {
+    /// The block over this node's pose of its positions, weighted by their losses at the estimate, and poses.
+    pub fn pose_block(&self) -> Option<[f64; block_len(POSE_DIM)]> {
+        if self.positions.is_empty() && self.poses.is_empty() {
             return None;
         }
         let mut block = [0.0; block_len(POSE_DIM)];
@@ -118,6 +122,14 @@ impl Node {
                 let row: [f64; POSE_DIM] =
                     std::array::from_fn(|column| linear.jacobian[(index, column)] * weight);
                 (row, linear.residual[index] * weight)
+            });
+            add_rows(&mut block, rows);
+        }
+        for factor in &self.poses {
+            let linear = factor.linearize(&self.linearization);
+            let rows = (0..POSE_DIM).map(|index| {
+                let row: [f64; POSE_DIM] = std::array::from_fn(|column| linear.jacobian[(index, column)]);
+                (row, linear.residual[index])
             });
             add_rows(&mut block, rows);
         }

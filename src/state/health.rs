@@ -39,6 +39,19 @@ impl GnssState {
     }
 }
 
+/// Which of the two graphs answers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "shells", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum Graph {
+    /// Main, with fixes.
+    Main,
+    /// Fallback, without fixes.
+    Fallback,
+    /// Fallback, while main tries fixes that have come back.
+    Trial,
+}
+
 /// One sensor, as seen by the estimator.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "shells", derive(utoipa::ToSchema))]
@@ -131,6 +144,15 @@ pub enum EventKind {
         from: Mode,
         /// After.
         to: Mode,
+    },
+    /// Another graph answers, or what main holds has changed.
+    GraphChanged {
+        /// Before.
+        from: Graph,
+        /// After.
+        to: Graph,
+        /// Why.
+        reason: String,
     },
     /// The state of the fixes changed.
     GnssChanged {

@@ -2,7 +2,7 @@
 
 mod health;
 
-pub use health::{Event, EventKind, GnssState, Health, OutageReport, SensorHealth, Severity};
+pub use health::{Event, EventKind, GnssState, Graph, Health, OutageReport, SensorHealth, Severity};
 
 use std::fmt;
 

@@ -1,0 +1,274 @@
+//! What lidar odometry says: relative between two poses, and pseudo-global after it was blind.
+//!
+//! Lidar odometry gives poses in a map of its own, and its error walks. As long as its poses follow each other, two
+//! of them say how the lidar moved in between, and nothing more: a relative factor, in either graph.
+//!
+//! The paper's fallback graph instead fixes the map to the world at the loss of the fixes, at t_j, and then takes
+//! every pose as a global one (Nubert et al. 2022, section IV-C),
+//!
+//!   world_from_lidar_tk = world_from_lidar_tj (lidarmap_from_lidar_tj)⁻¹ lidarmap_from_lidar_tk,            (1)
+//!
+//! with noise that is independent from pose to pose, which that of a walk is not: the covariance comes out far too
+//! small, the heading is the lidar's, and every standstill fights the walk. [`InOutage::PseudoGlobal`] is that form.
+//! By default t_j moves along with the newest pose that was used. While its node is in the window, (1) is then the
+//! relative factor, which is exact for a walk. When the lidar was blind for longer than the window, the node is
+//! gone, and (1) is what brings the position back: a pose factor with the covariance that the estimate had at t_j
+//! and the walk since.
+
+use super::graphs::Graphs;
+use super::options::{InOutage, Options};
+use crate::factors::{BetweenFactor, PoseFactor};
+use crate::frames::{Lidar, LidarMap, Pose, World};
+use crate::lie::Vec6;
+use crate::sensors::LidarPose;
+use crate::smoother::{Smoother, SmootherError};
+use crate::state::{NavState, StateMatrix, row};
+use crate::time::{Span, Stamp};
+
+/// A lidar increment that differs so much from the prediction is wrong: m, rad.
+const MISFIT_MAX: [f64; 2] = [0.5, 0.2];
+/// Squared misfit over its variance of a pose after a gap, summed over heading and position (4 degrees of
+/// freedom): beyond it, the lidar has begun a new map.
+const RETURN_LIMIT: f64 = 30.0;
+/// Poses further apart than this are not tied as one increment: some were lost in between.
+const GAP_MAX: Span = Span::from_millis(1_100);
+/// Roll and pitch of a pseudo-global pose are weighted down to this, rad: gravity knows them better.
+const TILT_SIGMA: f64 = 0.05;
+
+/// The newest pose that was used, and the estimate there.
+#[derive(Clone, Copy, Debug)]
+struct Anchor {
+    pose: LidarPose,
+    world_from_lidar: Pose<World, Lidar>,
+    /// Of heading and position of the estimate, rad² and m².
+    variance: [f64; 4],
+}
+
+/// Follows the lidar's poses.
+#[derive(Clone, Debug, Default)]
+pub(super) struct LidarTrack {
+    last: Option<LidarPose>,
+    anchor: Option<Anchor>,
+    /// Between two poses, s.
+    period_s: f64,
+}
+
+/// What became of a pose.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Taken {
+    /// It is in the graphs.
+    Used,
+    /// There was nothing to compare it with.
+    First,
+    /// It contradicts the estimate.
+    Refused(String),
+}
+
+impl LidarTrack {
+    /// The estimate was seated anew: what the lidar said before has no place in it.
+    pub fn forget(&mut self) {
+        *self = Self { period_s: self.period_s, ..Self::default() };
+    }
+
+    /// Puts a pose into both graphs.
+    ///
+    /// # Errors
+    /// The window cannot take its stamp; the track then goes on from the pose before.
+    pub fn take(
+        &mut self,
+        graphs: &mut Graphs,
+        options: &Options,
+        pose: &LidarPose,
+    ) -> Result<Taken, SmootherError> {
+        let lost = graphs.passive_mut().is_some();
+        let Some(last) = self.last else {
+            self.last = Some(*pose);
+            return Ok(Taken::First);
+        };
+        let gap = pose.stamp - last.stamp;
+        let taken = if lost && options.lidar_in_outage == InOutage::PseudoGlobal {
+            self.take_pseudo_global(graphs, options, &last, pose)?
+        } else if graphs.active().oldest_stamp().is_some_and(|oldest| last.stamp >= oldest) {
+            let missed = self.increments(gap);
+            let taken = tie(graphs.active_mut(), options, &last, pose, missed)?;
+            if let (Taken::Used, Some(main)) = (&taken, graphs.passive_mut()) {
+                // Main is made anew from fallback or from fixes, should it not fit.
+                let _ = tie(main, options, &last, pose, missed);
+            }
+            taken
+        } else if lost {
+            self.return_from_gap(graphs, options, pose)?
+        } else {
+            Taken::First
+        };
+        if gap <= GAP_MAX {
+            self.period_s = if self.period_s == 0.0 { gap.as_seconds() } else { self.period_s };
+            self.period_s += 0.1 * (gap.as_seconds() - self.period_s);
+        }
+        self.last = Some(*pose);
+        if taken != Taken::Used {
+            self.anchor = None;
+        }
+        Ok(taken)
+    }
+
+    /// After an update: where the newest pose is now in the answering graph. With [`InOutage::PseudoGlobal`] the map
+    /// stays where it was at the loss.
+    pub fn anchor(&mut self, graphs: &mut Graphs, options: &Options) {
+        let lost = graphs.passive_mut().is_some();
+        if lost && options.lidar_in_outage == InOutage::PseudoGlobal && self.anchor.is_some() {
+            return;
+        }
+        let Some(pose) = self.last else { return };
+        let smoother = graphs.active();
+        let Some(state) = smoother.state_at(pose.stamp) else { return };
+        self.anchor = Some(Anchor {
+            pose,
+            world_from_lidar: state.world_from_imu() * options.imu_from_lidar,
+            variance: variance(&state, smoother.newest_covariance()),
+        });
+    }
+
+    /// How many increments lie between two poses.
+    fn increments(&self, gap: Span) -> f64 {
+        if gap <= GAP_MAX || self.period_s == 0.0 { 1.0 } else { gap.as_seconds() / self.period_s }
+    }
+
+    /// Equation (1) with t_j at the loss, as the paper has it; relative in main.
+    fn take_pseudo_global(
+        &self,
+        graphs: &mut Graphs,
+        options: &Options,
+        last: &LidarPose,
+        pose: &LidarPose,
+    ) -> Result<Taken, SmootherError> {
+        if let Some(main) = graphs.passive_mut() {
+            // As above: main does without what it cannot take.
+            let _ = tie(main, options, last, pose, 1.0);
+        }
+        let Some(anchor) = &self.anchor else { return Ok(Taken::First) };
+        let [turn, shift] = options.lidar_sigma;
+        let sigma = Vec6::new(TILT_SIGMA, TILT_SIGMA, turn, shift, shift, shift);
+        add_pose(graphs.active_mut(), options, anchor, pose, sigma)
+    }
+
+    /// Equation (1) after the lidar was blind for longer than the window.
+    fn return_from_gap(
+        &self,
+        graphs: &mut Graphs,
+        options: &Options,
+        pose: &LidarPose,
+    ) -> Result<Taken, SmootherError> {
+        let Some(anchor) = &self.anchor else { return Ok(Taken::First) };
+        let increments = self.increments(pose.stamp - anchor.pose.stamp);
+        let [turn, shift] = options.lidar_sigma.map(|sigma| sigma * sigma * increments);
+        let far = anchor.world_from_lidar.inverse() * pseudo_global(anchor, pose);
+        // The heading at t_j, off by one sigma, swings what lies ahead.
+        let swing = anchor.variance[0] * far.translation().norm_squared();
+        let variance: [f64; 4] =
+            std::array::from_fn(|axis| anchor.variance[axis] + if axis == 0 { turn } else { shift + swing });
+        let smoother = graphs.active_mut();
+        let Some((state, covariance)) = smoother.predict(pose.stamp) else { return Ok(Taken::First) };
+        let [heading, x, y, z] = variance;
+        let sigma = Vec6::new(TILT_SIGMA.powi(2), TILT_SIGMA.powi(2), heading, x, y, z).map(f64::sqrt);
+        let factor = pose_factor(options, anchor, pose, sigma);
+        let misfit = factor.residual(&state).component_mul(&factor.sigma);
+        let predicted = self::variance(&state, &covariance);
+        let squared: f64 =
+            (0..4).map(|axis| misfit[2 + axis].powi(2) / (variance[axis] + predicted[axis])).sum();
+        if squared > RETURN_LIMIT {
+            let off = misfit.fixed_rows::<3>(row::POSITION).norm();
+            return Ok(Taken::Refused(format!(
+                "came back {off:.2} m and {:.1}° from where it is expected: a new map",
+                misfit[2].to_degrees().abs()
+            )));
+        }
+        add_pose(smoother, options, anchor, pose, sigma)
+    }
+}
+
+fn pseudo_global(anchor: &Anchor, pose: &LidarPose) -> Pose<World, Lidar> {
+    let world_from_map: Pose<World, LidarMap> =
+        anchor.world_from_lidar * anchor.pose.lidarmap_from_lidar.inverse();
+    world_from_map * pose.lidarmap_from_lidar
+}
+
+fn pose_factor(options: &Options, anchor: &Anchor, pose: &LidarPose, sigma: Vec6) -> PoseFactor {
+    PoseFactor {
+        measured: *pseudo_global(anchor, pose).motion(),
+        imu_from_sensor: *options.imu_from_lidar.motion(),
+        sigma,
+    }
+}
+
+fn add_pose(
+    smoother: &mut Smoother,
+    options: &Options,
+    anchor: &Anchor,
+    pose: &LidarPose,
+    sigma: Vec6,
+) -> Result<Taken, SmootherError> {
+    let node = smoother.node_at(pose.stamp)?;
+    let mut factor = pose_factor(options, anchor, pose, sigma);
+    if node != pose.stamp {
+        // From the stamp of the pose to that of the node, by the motion in between.
+        let (Some(at_pose), Some(at_node)) = (smoother.state_at(pose.stamp), smoother.state_at(node)) else {
+            return Err(SmootherError::NotStarted);
+        };
+        let [from, to] = [at_pose, at_node].map(|state| state.world_from_imu() * options.imu_from_lidar);
+        factor.measured = factor.measured * *(from.inverse() * to).motion();
+    }
+    smoother.add_pose(node, factor)?;
+    Ok(Taken::Used)
+}
+
+/// Variance of heading (rad²) and position (m²).
+fn variance(state: &NavState, covariance: &StateMatrix) -> [f64; 4] {
+    let up_in_imu = state.rotation.inverse() * crate::lie::Vec3::z();
+    let rotation = covariance.fixed_view::<3, 3>(row::ROTATION, row::ROTATION);
+    let heading = up_in_imu.dot(&(rotation * up_in_imu));
+    std::array::from_fn(|axis| match axis.checked_sub(1) {
+        None => heading,
+        Some(axis) => covariance[(row::POSITION + axis, row::POSITION + axis)],
+    })
+}
+
+/// Ties the nodes of two poses that lie so many increments apart.
+fn tie(
+    smoother: &mut Smoother,
+    options: &Options,
+    from: &LidarPose,
+    to: &LidarPose,
+    increments: f64,
+) -> Result<Taken, SmootherError> {
+    let earlier = smoother.node_at(from.stamp)?;
+    let later = smoother.node_at(to.stamp)?;
+    if later <= earlier {
+        return Ok(Taken::Used);
+    }
+    let lidar_at = |stamp: Stamp| -> Option<Pose<World, Lidar>> {
+        Some(smoother.state_at(stamp)?.world_from_imu() * options.imu_from_lidar)
+    };
+    let states = (lidar_at(earlier), lidar_at(from.stamp), lidar_at(to.stamp), lidar_at(later));
+    let (Some(at_earlier), Some(at_from), Some(at_to), Some(at_later)) = states else {
+        return Err(SmootherError::NotStarted);
+    };
+    let seen = from.lidarmap_from_lidar.inverse() * to.lidarmap_from_lidar;
+    let misfit = (at_from.inverse() * at_to).inverse() * seen;
+    let (shift_m, turn) = (misfit.translation().norm(), misfit.rotation().log().norm());
+    if shift_m > MISFIT_MAX[0] || turn > MISFIT_MAX[1] {
+        return Ok(Taken::Refused(format!(
+            "its increment is {shift_m:.2} m and {:.1}° from the predicted one",
+            turn.to_degrees()
+        )));
+    }
+    // From the stamps of the poses to those of the nodes, by the motion in between.
+    let measured = (at_earlier.inverse() * at_from) * seen * (at_to.inverse() * at_later);
+    let factor = BetweenFactor {
+        measured: *measured.motion(),
+        imu_from_sensor: *options.imu_from_lidar.motion(),
+        sigma: options.lidar_sigma.map(|sigma| sigma * increments.sqrt()),
+    };
+    smoother.add_between(earlier, later, factor)?;
+    Ok(Taken::Used)
+}
