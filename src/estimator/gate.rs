@@ -22,6 +22,10 @@ const INNOVATION_LIMIT: f64 = 50.0;
 /// Squared innovation up to which a fix agrees with the estimate while trust is lost: 1 in 100 good fixes is
 /// further off, and its return only takes longer.
 const RETURN_LIMIT: f64 = 11.3;
+/// Multipath that lasts is further off than this, m. A fix that is nearer agrees up to a larger squared innovation:
+/// all fixes share the estimate's error, and one outage in a hundred ends more than three sigmas off.
+const NEAR_M: f64 = 0.15;
+const NEAR_LIMIT: f64 = 30.0;
 /// Multipath is over after so long; fixes that contradict the estimate for longer are right.
 const CONTRADICTION_MAX: Span = Span::from_millis(8_000);
 /// Error of a fix with fixed ambiguities that is new in each fix, at most, m.
@@ -172,8 +176,14 @@ impl Gate {
     }
 
     /// Test ratio up to which a fix agrees with the estimate.
-    fn ratio_limit(&self) -> f64 {
-        if self.trusted { 1.0 } else { RETURN_LIMIT / INNOVATION_LIMIT }
+    fn ratio_limit(&self, candidate: &Candidate) -> f64 {
+        if self.trusted {
+            1.0
+        } else if (candidate.position - candidate.expected).norm() < NEAR_M {
+            NEAR_LIMIT / INNOVATION_LIMIT
+        } else {
+            RETURN_LIMIT / INNOVATION_LIMIT
+        }
     }
 
     /// Judges the fix of the left antenna.
@@ -184,7 +194,7 @@ impl Gate {
         }
         self.last_heard = Some(candidate.stamp);
         let test_ratio = self.test_ratio(&candidate);
-        let agrees = test_ratio <= self.ratio_limit();
+        let agrees = test_ratio <= self.ratio_limit(&candidate);
         let (cause, refusal) = self.find_fault(&candidate, test_ratio).unzip();
         let turn = match cause {
             Some(cause) => self.note_bad(cause, candidate.stamp),
@@ -211,11 +221,10 @@ impl Gate {
         if let Some(reason) = self.too_fast(candidate) {
             return Some((GnssState::Jumping, reason));
         }
-        let limit = self.ratio_limit();
+        let limit = self.ratio_limit(candidate);
         if test_ratio <= limit {
-            // One that agrees by chance does not end a contradiction.
-            let agreed = 2 * (self.good_in_row + 1) >= self.options.fixes_to_return;
-            self.contradicting_since = if agreed { None } else { contradicting_since };
+            // Some that agree by chance do not end a contradiction; the return of trust does.
+            self.contradicting_since = contradicting_since;
             return None;
         }
         if !self.trusted {
