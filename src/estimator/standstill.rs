@@ -46,7 +46,7 @@ const TURNS_KEPT: Span = Span::from_millis(6_000);
 /// Between two ties.
 pub(super) const TIE_EVERY: Span = Span::from_millis(1_000);
 /// One sigma of a tie: rad (the encoder's steps and play), m (rocking of the chassis).
-pub(super) const TIE_SIGMA: [f64; 2] = [4.0e-4, 1.0e-3];
+pub(super) const TIE_SIGMA: [f64; 2] = [2.5e-4, 1.0e-3];
 
 /// How still a machine's IMU is at rest.
 #[derive(Clone, Copy, Debug)]

@@ -7,4 +7,5 @@ mod bad_input;
 mod command;
 mod degenerate;
 mod fixtures;
+mod outages;
 mod start;
