@@ -37,7 +37,7 @@ fn propagate_one_sample(criterion: &mut Criterion) {
     for arrival in &arrivals {
         predictor.push(arrival);
         if let Some(solution) = updater.push(arrival) {
-            predictor.adopt(solution);
+            predictor.adopt(&solution);
         }
         if let Reading::Imu(sample) = arrival.reading {
             newest = Some((arrival.arrival, sample));
@@ -163,7 +163,7 @@ fn live(speed: f64, seconds: f64) -> (Times, u64) {
     for arrival in &arrivals[..start] {
         predictor.push(arrival);
         if let Some(solution) = updater.push(arrival) {
-            predictor.adopt(solution);
+            predictor.adopt(&solution);
         }
     }
     let worker = thread::spawn(move || {
@@ -184,7 +184,7 @@ fn live(speed: f64, seconds: f64) -> (Times, u64) {
             thread::sleep(early);
         }
         for solution in solutions.try_iter() {
-            predictor.adopt(solution);
+            predictor.adopt(&solution);
             updates += 1;
         }
         let before = Instant::now();

@@ -13,6 +13,7 @@ pub mod import;
 pub mod lie;
 #[cfg(feature = "shells")]
 pub mod link;
+pub mod live;
 #[cfg(feature = "shells")]
 pub mod machine;
 pub mod preintegration;

@@ -25,7 +25,7 @@ fn estimate_starts_though_the_first_solution_comes_too_late_to_be_carried_on() {
         let work = if index < begin { 0 } else { 100 };
         for late in waiting.by_ref().take(work.min(index)) {
             if let Some(solution) = updater.push(late) {
-                predictor.adopt(solution);
+                predictor.adopt(&solution);
             }
         }
     }

@@ -16,7 +16,9 @@ use crate::sensors::Arrival;
 /// LOG is a folder of CSV files (imu.csv, gnss_left.csv, ...; all but imu.csv optional) or an MCAP recording
 /// of holdfast. Writes to DIR: world.tum, odom.tum and base_odom.tum (one pose for each IMU sample, as it would
 /// have been published live), estimate.csv (with biases and standard deviations), events.jsonl, summary.json.
-/// The same log and machine file give the same bytes, times in summary.json apart.
+/// The same log and machine file give the same bytes, times in summary.json apart. With --realtime there is also
+/// takeovers.csv: before which reading (of all sensors, counted from 0) the solution of which reading was taken
+/// over; with it the run can be had again to the bit.
 ///
 /// Exit codes: 0 done, 1 failed, 2 bad arguments or machine file, 3 done, but some data was bad or lost.
 #[derive(Debug, clap::Args)]
@@ -32,6 +34,9 @@ pub struct Arguments {
     /// Play the log at the speed it was recorded, with prediction and update on two threads as on a machine
     #[arg(long)]
     pub realtime: bool,
+    /// How fast to play the log, 1 is real time
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, requires = "realtime", value_parser = super::speed)]
+    pub speed: f64,
     /// Estimator to run
     #[arg(long, value_enum, default_value_t = Method::Dual)]
     pub method: Method,
@@ -64,13 +69,13 @@ pub fn run(arguments: Arguments) -> Result<Outcome, Box<dyn Error>> {
         bar.set_message(format!("{data_s:.0} s of {log_s:.0} s"));
         bar.set_position((1000.0 * data_s / log_s) as u64);
     };
-    let options = machine.estimator_options();
     let summary = if arguments.realtime {
-        super::realtime::run(&arrivals, options, &mut outputs, show)?
+        super::realtime::run(&arrivals, &machine, arguments.speed, &mut outputs, show)?
     } else {
         let epoch = Instant::now();
         let clock = move || u64::try_from(epoch.elapsed().as_nanos()).unwrap_or(u64::MAX);
         let arrivals = arrivals.into_iter().map(Ok::<Arrival, std::io::Error>);
+        let options = machine.estimator_options();
         crate::replay::run(arrivals, options, &mut outputs, clock, |progress| show(progress.data_s))?
     };
     bar.finish_and_clear();

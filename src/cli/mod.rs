@@ -78,6 +78,12 @@ fn must_exist(path: &Path) -> Result<(), BadArguments> {
     }
 }
 
+/// A factor of real time.
+fn speed(text: &str) -> Result<f64, String> {
+    let speed: f64 = text.parse().map_err(|_| format!("\"{text}\" is not a number"))?;
+    if (0.01..=1000.0).contains(&speed) { Ok(speed) } else { Err("must be from 0.01 to 1000".to_owned()) }
+}
+
 /// Runs the command that the process was called with.
 pub fn main() -> ExitCode {
     let arguments = CommandLine::parse();
@@ -117,4 +123,17 @@ fn exit_code(error: &(dyn Error + 'static)) -> ExitCode {
         cause = error.source();
     }
     ExitCode::FAILURE
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn speed_is_a_sensible_number() {
+        assert_eq!(speed("2.5"), Ok(2.5));
+        for text in ["0", "-1", "NaN", "inf", "fast"] {
+            assert!(speed(text).is_err(), "{text}");
+        }
+    }
 }

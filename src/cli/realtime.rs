@@ -1,125 +1,171 @@
 //! A log at the speed it was recorded, prediction and update on two threads, as on a machine.
 
 use std::error::Error;
-use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
+use std::io;
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use crate::estimator::{Options, Solution, Updater, split};
+use crate::config::Machine;
+use crate::estimator::{Correction, Updater, split};
+use crate::live::{self, Inlet, Origin, PredictorOutlet, Taken, UpdaterOutlet};
 use crate::replay::{Outputs, Summary, Tally};
 use crate::sensors::{Arrival, Reading};
-use crate::state::{Event, Health};
+use crate::state::{Estimate, Event, Health, Takeover};
 
-/// Readings under way to the updater: some seconds of all sensors. When it is full the player waits, since a
-/// log must not lose anything; a machine counts and drops instead.
-const READINGS_UNDER_WAY: usize = 1_024;
-/// Solutions under way to the predictor: far more than updates between two IMU samples.
-const SOLUTIONS_UNDER_WAY: usize = 256;
+/// What is said on the way to the files: some seconds. When it is full the threads wait, since nothing of a log
+/// must be lost; a machine counts and drops instead.
+const SAID: usize = 4_096;
 
-/// What the updater's thread hands back.
-enum FromUpdater {
-    Solution { solution: Box<Solution>, nanos: u64 },
+/// What the two threads say.
+#[expect(clippy::large_enum_variant, reason = "an estimate a sample is moved, not allocated")]
+enum Said {
+    Taken { arrival: Arrival, nanos: u64 },
+    Estimate(Estimate),
+    TakenOver { takeover: Takeover, correction: Correction },
+    Updated { nanos: u64 },
     Events(Vec<Event>),
     End { health: Box<Health>, unfit: u64 },
 }
 
-/// Plays `arrivals` in real time; blocks until the end.
+/// Plays `arrivals` at `speed` times real time; blocks until the end.
 ///
 /// # Errors
 /// A file cannot be written.
 pub fn run(
     arrivals: &[Arrival],
-    options: Options,
+    machine: &Machine,
+    speed: f64,
     outputs: &mut Outputs,
-    mut show: impl FnMut(f64),
+    show: impl FnMut(f64),
 ) -> Result<Summary, Box<dyn Error>> {
-    let (mut predictor, updater) = split(options);
-    let (to_updater, readings) = sync_channel::<Arrival>(READINGS_UNDER_WAY);
-    let (answers, from_updater) = sync_channel::<FromUpdater>(SOLUTIONS_UNDER_WAY);
-    let worker = thread::Builder::new()
-        .name("updater".to_owned())
-        .spawn(move || work(updater, &readings, &answers))?;
-    let mut tally = Tally::default();
-    let epoch = Instant::now();
-    let Some(first) = arrivals.first().map(|arrival| arrival.arrival) else {
-        return Err("the log is empty".into());
-    };
-    for arrival in arrivals {
-        let due = Duration::from_nanos(u64::try_from((arrival.arrival - first).as_nanos()).unwrap_or(0));
-        if let Some(early) = due.checked_sub(epoch.elapsed()) {
-            thread::sleep(early);
-        }
-        loop {
-            match from_updater.try_recv() {
-                Ok(FromUpdater::Solution { solution, nanos }) => {
-                    tally.update.note(nanos);
-                    let correction = predictor.adopt_measured(solution);
-                    tally.note_takeover(&correction);
-                }
-                Ok(FromUpdater::Events(events)) => note_events(&events, &mut tally, outputs)?,
-                Ok(FromUpdater::End { .. }) | Err(TryRecvError::Disconnected | TryRecvError::Empty) => break,
-            }
-        }
-        let before = Instant::now();
-        let estimate = predictor.push(arrival);
-        let nanos = u64::try_from(before.elapsed().as_nanos()).unwrap_or(u64::MAX);
-        if to_updater.send(*arrival).is_err() {
-            break;
-        }
-        tally.note_arrival(arrival);
-        if matches!(arrival.reading, Reading::Imu(_)) {
-            tally.predict.note(nanos);
-            show(due.as_secs_f64());
-        }
-        if let Some(estimate) = &estimate {
-            tally.estimates += 1;
-            outputs.write_estimate(estimate)?;
-        }
-        predictor.settle();
+    outputs.keep_takeovers()?;
+    let (sender, said) = sync_channel(SAID);
+    let period = Duration::from_secs_f64(1.0 / machine.imu.update_rate / speed);
+    let halves = split(machine.estimator_options());
+    let outlet = Outlet(sender);
+    let (threads, inlet) = live::start(halves, Origin::Log, period, outlet.clone(), outlet)?;
+    let begin = Instant::now();
+    let written = thread::scope(|scope| {
+        let writer = scope.spawn(move || write(said, outputs));
+        play(arrivals, speed, begin, &inlet, || writer.is_finished(), show);
+        drop(inlet);
+        writer.join()
+    });
+    if !threads.join() {
+        return Err("the estimator's threads have panicked".into());
     }
-    drop(to_updater);
-    let mut end = None;
-    for answer in from_updater {
-        match answer {
-            FromUpdater::Solution { .. } => {}
-            FromUpdater::Events(events) => note_events(&events, &mut tally, outputs)?,
-            FromUpdater::End { health, unfit } => end = Some((health, unfit)),
-        }
-    }
-    worker.join().map_err(|_| "the updater's thread panicked")?;
+    let (tally, end) = written.map_err(|_| "the writer's thread has panicked")??;
     let (health, unfit) = end.ok_or("the updater's thread ended early")?;
-    let wall = u64::try_from(epoch.elapsed().as_nanos()).unwrap_or(u64::MAX);
+    let wall = nanos(begin.elapsed());
     Ok(tally.summary(wall, unfit, *health))
 }
 
-fn note_events(events: &[Event], tally: &mut Tally, outputs: &mut Outputs) -> std::io::Result<()> {
-    events.iter().try_for_each(|event| {
-        tally.note_event(event);
-        outputs.write_event(event)
-    })
+/// Hands every reading over when it is due.
+fn play(
+    arrivals: &[Arrival],
+    speed: f64,
+    begin: Instant,
+    inlet: &Inlet,
+    stopped: impl Fn() -> bool,
+    mut show: impl FnMut(f64),
+) {
+    let Some(first) = arrivals.first().map(|arrival| arrival.arrival) else { return };
+    for arrival in arrivals {
+        let data_s = arrival.arrival.seconds_since(first);
+        let due = Duration::try_from_secs_f64(data_s / speed).unwrap_or(Duration::ZERO);
+        if let Some(early) = due.checked_sub(begin.elapsed()) {
+            thread::sleep(early);
+        }
+        if stopped() || !inlet.hand_over(*arrival) {
+            return;
+        }
+        if matches!(arrival.reading, Reading::Imu(_)) {
+            show(data_s);
+        }
+    }
 }
 
-fn work(mut updater: Updater, readings: &Receiver<Arrival>, answers: &SyncSender<FromUpdater>) {
-    for arrival in readings {
-        let before = Instant::now();
-        let solution = updater.push(&arrival);
-        let nanos = u64::try_from(before.elapsed().as_nanos()).unwrap_or(u64::MAX);
-        if let Some(solution) = solution
-            && answers.send(FromUpdater::Solution { solution, nanos }).is_err()
-        {
-            return;
+type Written = (Tally, Option<(Box<Health>, u64)>);
+
+/// Writes all that is said, until the end. If it fails, the receiver goes with it: nobody waits for the writer.
+fn write(said: Receiver<Said>, outputs: &mut Outputs) -> io::Result<Written> {
+    let mut tally = Tally::default();
+    let mut end = None;
+    for said in said {
+        match said {
+            Said::Taken { arrival, nanos } => {
+                tally.note_arrival(&arrival);
+                if matches!(arrival.reading, Reading::Imu(_)) {
+                    tally.predict.note(nanos);
+                }
+            }
+            Said::Estimate(estimate) => {
+                tally.estimates += 1;
+                outputs.write_estimate(&estimate)?;
+            }
+            Said::TakenOver { takeover, correction } => {
+                tally.note_correction(&correction);
+                outputs.write_takeover(&takeover)?;
+            }
+            Said::Updated { nanos } => tally.update.note(nanos),
+            Said::Events(events) => {
+                for event in &events {
+                    tally.note_event(event);
+                    outputs.write_event(event)?;
+                }
+            }
+            Said::End { health, unfit } => end = Some((health, unfit)),
         }
+    }
+    Ok((tally, end))
+}
+
+/// Both threads' way to the writer. An error says that it has failed, which it tells itself.
+#[derive(Clone)]
+struct Outlet(SyncSender<Said>);
+
+impl Outlet {
+    fn say(&self, said: Said) {
+        let _ = self.0.send(said);
+    }
+
+    fn events(&self, updater: &mut Updater) {
         let events = updater.take_events();
-        if !events.is_empty() && answers.send(FromUpdater::Events(events)).is_err() {
-            return;
+        if !events.is_empty() {
+            self.say(Said::Events(events));
         }
     }
-    updater.finish();
-    let events = updater.take_events();
-    if !events.is_empty() && answers.send(FromUpdater::Events(events)).is_err() {
-        return;
+}
+
+impl PredictorOutlet for Outlet {
+    fn taken(&mut self, taken: Taken<'_>) {
+        self.say(Said::Taken { arrival: *taken.arrival, nanos: nanos(taken.took) });
+        if let Some(estimate) = taken.estimate {
+            self.say(Said::Estimate(estimate));
+        }
     }
-    let end = FromUpdater::End { health: Box::new(updater.health()), unfit: updater.unfit_readings() };
-    // Nobody listens only if the player has failed, and then says so itself.
-    let _ = answers.send(end);
+
+    fn taken_over(&mut self, takeover: Takeover, correction: Correction) {
+        self.say(Said::TakenOver { takeover, correction });
+    }
+}
+
+impl UpdaterOutlet for Outlet {
+    fn worked_off(&mut self, _: &Arrival, update: Option<Duration>, updater: &mut Updater) {
+        if let Some(took) = update {
+            self.say(Said::Updated { nanos: nanos(took) });
+        }
+        self.events(updater);
+    }
+
+    fn ended(self, mut updater: Updater) {
+        updater.finish();
+        self.events(&mut updater);
+        self.say(Said::End { health: Box::new(updater.health()), unfit: updater.unfit_readings() });
+    }
+}
+
+fn nanos(duration: Duration) -> u64 {
+    u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX)
 }

@@ -51,7 +51,10 @@ impl Inbox {
         book.count_rate(arrival.arrival);
         let admission = match reading.check() {
             Err(unfit) => Admission::Refused(unfit.to_string()),
-            Ok(()) => book.check_clock(arrival.arrival, reading.stamp()),
+            Ok(()) => match book.judge_clock(arrival.arrival, reading.stamp()) {
+                Ok(()) => Admission::Accepted,
+                Err(reason) => book.count_against_the_clock(reason),
+            },
         };
         match &admission {
             Admission::Accepted => {
@@ -65,6 +68,16 @@ impl Inbox {
             }
         }
         admission
+    }
+
+    /// Whether a reading would come in now; nothing is written down.
+    ///
+    /// # Errors
+    /// Why not.
+    pub fn judge(&self, arrival: &Arrival) -> Result<(), String> {
+        let reading = &arrival.reading;
+        reading.check().map_err(|unfit| unfit.to_string())?;
+        self.books[reading.sensor() as usize].judge_clock(arrival.arrival, reading.stamp())
     }
 
     /// Readings that were no measurements at all or came against the clock.
@@ -82,6 +95,11 @@ impl Inbox {
     /// Newest stamp of a sensor.
     pub fn newest(&self, sensor: Sensor) -> Option<Stamp> {
         self.books[sensor as usize].newest.map(|(_, stamp)| stamp)
+    }
+
+    /// When the newest reading of a sensor arrived.
+    pub fn newest_arrival(&self, sensor: Sensor) -> Option<Stamp> {
+        self.books[sensor as usize].newest.map(|(arrival, _)| arrival)
     }
 
     /// The sensors that ever spoke, with ages at `now`.
@@ -116,20 +134,24 @@ impl Book {
         }
     }
 
-    fn check_clock(&mut self, arrival: Stamp, stamp: Stamp) -> Admission {
-        let Some((newest_arrival, newest)) = self.newest else { return Admission::Accepted };
+    #[inline(never)]
+    fn judge_clock(&self, arrival: Stamp, stamp: Stamp) -> Result<(), String> {
+        let Some((newest_arrival, newest)) = self.newest else { return Ok(()) };
         let advance = stamp - newest;
         let elapsed = arrival - newest_arrival;
         let disagreement = (advance.as_seconds() - elapsed.as_seconds()).abs();
-        let reason = if advance.as_nanos() == 0 {
-            "has the stamp of the reading before".to_owned()
+        if advance.as_nanos() == 0 {
+            Err("has the stamp of the reading before".to_owned())
         } else if disagreement > CLOCK_JUMP.as_seconds() {
-            format!("its stamp moved by {:.3} s in {:.3} s", advance.as_seconds(), elapsed.as_seconds())
+            Err(format!("its stamp moved by {:.3} s in {:.3} s", advance.as_seconds(), elapsed.as_seconds()))
         } else if advance.as_nanos() < 0 {
-            format!("its stamp is {:.3} s before the reading before", -advance.as_seconds())
+            Err(format!("its stamp is {:.3} s before the reading before", -advance.as_seconds()))
         } else {
-            return Admission::Accepted;
-        };
+            Ok(())
+        }
+    }
+
+    fn count_against_the_clock(&mut self, reason: String) -> Admission {
         self.against_the_clock += 1;
         if self.against_the_clock < READINGS_TO_RESET {
             return Admission::Refused(reason);

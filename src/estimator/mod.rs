@@ -48,14 +48,15 @@ pub struct Solution {
 }
 
 /// Both halves, for two threads. Each must be given every arrival, in the same order; solutions go from the
-/// updater to [`Predictor::adopt`] between two arrivals.
+/// updater to [`Predictor::adopt`] between two arrivals. Between which, decides the bits of what follows: who
+/// keeps that as a [`crate::state::Takeover`] can have the same run again, on one thread.
 pub fn split(options: Options) -> (Predictor, Updater) {
     (Predictor::new(options.clone()), Updater::new(options))
 }
 
-/// A solution was taken over.
+/// What a solution changed when it was taken over.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Takeover {
+pub struct Correction {
     /// How far it moved the position at the newest IMU sample, m: the consistency of prediction and update
     /// (Nubert et al. 2022, section V-D). `None` for the first one after a start.
     pub correction_m: Option<f64>,
@@ -88,9 +89,9 @@ impl Estimator {
     }
 
     /// Second half of [`Estimator::push`]: takes over the solution that the reading led to, if any.
-    pub fn update(&mut self, arrival: &Arrival) -> Option<Takeover> {
+    pub fn update(&mut self, arrival: &Arrival) -> Option<Correction> {
         let solution = self.updater.push(arrival)?;
-        Some(self.predictor.adopt_measured(solution))
+        Some(self.predictor.adopt_measured(&solution))
     }
 
     /// Readings that were no measurements at all or came against the clock.

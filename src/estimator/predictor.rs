@@ -2,11 +2,14 @@
 //!
 //! The newest solution is carried along by the IMU. When a new one comes, the samples since its stamp are
 //! integrated anew from it. The odom frame takes only the increments of the motion, so a new solution moves
-//! `world_from_odom` and never steps `odom_from_imu`.
+//! `world_from_odom` and never steps `odom_from_imu`. In the steady state nothing is allocated and nothing is
+//! freed here: a solution stays its owner's, who can use its memory again.
+
+use std::hint::black_box;
 
 use super::inbox::{Admission, Inbox};
 use super::options::Options;
-use super::{IMU_GAP_MAX, Solution, Takeover};
+use super::{Correction, IMU_GAP_MAX, Solution};
 use crate::frames::{Base, Cabin, Imu, Odom, Pose};
 use crate::lie::{Se3, So3, Vec3};
 use crate::preintegration::{Preintegration, SampleBuffer, Step, propagate};
@@ -19,6 +22,8 @@ use crate::time::{Span, Stamp};
 const SAMPLES_KEPT: Span = Span::from_millis(10_000);
 /// Odom's roll and pitch follow the world's at most so fast, rad/s: 0.5°/s, 0.005° a sample at 100 Hz.
 const LEVELLING_RATE: f64 = 0.0087;
+/// Length of the step that is rehearsed; any will do.
+const REHEARSED_STEP: Span = Span::from_millis(10);
 /// The covariance is brought forward every so many samples.
 const COVARIANCE_EVERY: u32 = 10;
 /// The cabin turn is extrapolated so far at most.
@@ -41,9 +46,7 @@ pub struct Predictor {
 
 /// The solution and where the IMU has carried it.
 struct Track {
-    solution: Box<Solution>,
-    /// Of the newest sample.
-    stamp: Stamp,
+    solution: Solution,
     state: NavState,
     covariance: StateMatrix,
     /// Since `solution`, for the covariance.
@@ -125,16 +128,26 @@ impl Predictor {
             return None;
         };
         let step = Step::between(&previous?, sample);
-        let before = track.state;
         track.settle(&self.options);
-        track.advance(&step, sample.stamp, &self.options);
-        let increment = relative(&before, &track.state);
-        let odom = self.odom_from_imu.get_or_insert_with(|| first_odom(&before));
-        let moved = Pose::assume(*odom.motion() * increment);
-        *odom = levelled(&moved, &track.state, step.span_s);
-        let state = track.state;
-        let odom_from_imu = *odom;
-        let (covariance, mode) = (track.covariance, track.solution.mode);
+        let estimate = self.step(&step, sample);
+        if let (Some(estimate), Some(track)) = (&estimate, &mut self.track) {
+            track.state = estimate.state;
+            track.unsettled = Some(step);
+            self.odom_from_imu = Some(estimate.odom_from_imu);
+        }
+        estimate
+    }
+
+    /// The estimate that a step leads to; nothing is changed. Not inlined, so that [`Predictor::rehearse`] runs
+    /// the very code that the next sample will.
+    #[inline(never)]
+    fn step(&self, step: &Step, sample: &ImuSample) -> Option<Estimate> {
+        let track = self.track.as_ref()?;
+        let before = &track.state;
+        let state = propagate(before, step, &self.options.smoother.gravity);
+        let increment = relative(before, &state);
+        let odom = self.odom_from_imu.unwrap_or_else(|| first_odom(before));
+        let odom_from_imu = levelled(&Pose::assume(*odom.motion() * increment), &state, step.span_s);
         Some(Estimate {
             stamp: sample.stamp,
             state,
@@ -142,9 +155,22 @@ impl Predictor {
             odom_from_imu,
             world_from_odom: state.world_from_imu() * odom_from_imu.inverse(),
             base: self.base(sample, &state, &odom_from_imu),
-            covariance,
-            mode,
+            covariance: track.covariance,
+            mode: track.solution.mode,
         })
+    }
+
+    /// Works out an estimate as if the newest sample came again, and forgets it: code and data that the next
+    /// sample needs are then in the caches, from which ten milliseconds of other work drive them out. For shells,
+    /// shortly before a sample is due. Changes nothing.
+    pub fn rehearse(&self) {
+        let Some(newest) = self.samples.newest() else { return };
+        let sample = ImuSample { stamp: newest.stamp + REHEARSED_STEP, ..*newest };
+        let arrived = self.inbox.newest_arrival(Sensor::Imu).unwrap_or_default() + REHEARSED_STEP;
+        let arrival = Arrival { arrival: arrived, reading: Reading::Imu(sample) };
+        black_box(self.inbox.judge(black_box(&arrival)).is_ok());
+        let step = Step::between(newest, &sample);
+        black_box(self.step(black_box(&step), &sample));
     }
 
     /// Does what can wait until an estimate is out: brings the covariance forward. [`Predictor::push`] does it
@@ -156,7 +182,7 @@ impl Predictor {
     }
 
     /// Takes over a solution, between two samples: integrates the samples since its stamp from it.
-    pub fn adopt(&mut self, solution: Box<Solution>) {
+    pub fn adopt(&mut self, solution: &Solution) {
         if self.waits_for_restart && !solution.restart {
             // Of before a jump of the clock or a gap: the updater will start anew.
             return;
@@ -176,8 +202,7 @@ impl Predictor {
         let covariance = predict_covariance(&motion, start, &solution.covariance, noise);
         self.samples.forget_before(solution.stamp);
         self.track = Some(Track {
-            solution,
-            stamp: newest,
+            solution: solution.clone(),
             state,
             covariance,
             motion,
@@ -187,7 +212,7 @@ impl Predictor {
     }
 
     /// [`Predictor::adopt`], and how far it moved the position.
-    pub fn adopt_measured(&mut self, solution: Box<Solution>) -> Takeover {
+    pub fn adopt_measured(&mut self, solution: &Solution) -> Correction {
         let restart = solution.restart;
         let position = |predictor: &Self| predictor.track.as_ref().map(|track| track.state.position);
         let before = position(self);
@@ -196,7 +221,7 @@ impl Predictor {
             (Some(before), Some(after)) if !restart => Some((after - before).norm()),
             _ => None,
         };
-        Takeover { correction_m }
+        Correction { correction_m }
     }
 
     /// The chassis, by the cabin turn at the sample's stamp.
@@ -231,19 +256,13 @@ impl Predictor {
 }
 
 impl Track {
-    fn advance(&mut self, step: &Step, stamp: Stamp, options: &Options) {
-        self.state = propagate(&self.state, step, &options.smoother.gravity);
-        self.stamp = stamp;
-        self.unsettled = Some(*step);
-    }
-
     fn settle(&mut self, options: &Options) {
         let Some(step) = self.unsettled.take() else { return };
         self.motion.add(&step, &options.smoother.noise);
         self.samples_since_covariance += 1;
         if self.samples_since_covariance >= COVARIANCE_EVERY {
             self.samples_since_covariance = 0;
-            let Solution { state, covariance, .. } = &*self.solution;
+            let Solution { state, covariance, .. } = &self.solution;
             self.covariance = predict_covariance(&self.motion, state, covariance, &options.smoother.noise);
         }
     }

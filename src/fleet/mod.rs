@@ -80,6 +80,8 @@ pub enum Topic {
     Health,
     /// What happened.
     Event,
+    /// What a replay needs.
+    Journal,
     /// A reading.
     Sensor(Sensor),
 }

@@ -6,6 +6,7 @@
 //! it, which for a reading is when it arrived at the machine. This room touches files, but reads no clock:
 //! the caller gives the time. Which sessions there are is the site's business.
 
+mod journal;
 mod read;
 mod recover;
 mod scan;
@@ -18,6 +19,7 @@ use serde::{Deserialize, Serialize};
 use crate::time::Stamp;
 use crate::wire::Topic;
 
+pub use journal::{BootRun, read_live_runs};
 pub use read::{Arrivals, Messages, machines, read_arrivals, read_messages};
 pub use recover::{inspect, recover};
 pub use write::{RecordWriter, SYNC_EVERY};

@@ -5,9 +5,10 @@ use std::path::PathBuf;
 
 use super::*;
 use crate::lie::Vec3;
-use crate::sensors::{Arrival, CabinTurn, ImuSample, Reading};
+use crate::sensors::{Arrival, CabinTurn, ImuSample, Reading, Sensor};
+use crate::state::Takeover;
 use crate::time::Span;
-use crate::wire::encode_reading;
+use crate::wire::{BootId, JournalPage, encode_json, encode_reading};
 
 /// A folder that is gone with the test.
 struct Folder(PathBuf);
@@ -274,4 +275,91 @@ fn time_before_the_epoch_and_a_clock_set_back_do_no_harm() {
     assert_eq!(writer.unsynced_since(), None);
     assert_eq!(writer.finish().expect("finish").messages, 1);
     assert_eq!(arrivals(&path, "a")[0].arrival, Stamp::from_nanos(0));
+}
+
+/// A boot of machine `a` that took so many samples, with a page and a takeover after every ten; what `keep` does
+/// not want is lost on the way.
+fn write_boot(writer: &mut RecordWriter, boot: u64, samples: i64, keep: impl Fn(Topic, u64) -> bool) {
+    let mut page = JournalPage::new(BootId(boot), 0);
+    let mut pages = 0;
+    let mut write = |message: Recorded<Vec<u8>>| {
+        if keep(message.topic, message.sequence) {
+            writer.write(&message).expect("write");
+        }
+    };
+    for index in 0..samples {
+        let reading = imu(1_000 * boot as i64 + index);
+        write(recorded("a", index as u64, &reading));
+        page.push(Sensor::Imu, index != 5);
+        if index % 10 == 9 {
+            page.taken_over = Some(index as u64 - 3);
+            let payload = encode_json("journal page", &page).expect("JSON");
+            let message = recorded("a", pages, &reading);
+            write(Recorded { topic: Topic::Journal, payload, ..message });
+            pages += 1;
+            page = JournalPage::new(BootId(boot), page.end());
+        }
+    }
+}
+
+fn live_runs(name: &str, keep: impl Fn(Topic, u64) -> bool) -> Vec<BootRun> {
+    let folder = Folder::new(name);
+    let path = folder.file("s-0000.mcap");
+    let mut writer = RecordWriter::create(&path).expect("create");
+    write_boot(&mut writer, 1, 27, |_, _| true);
+    write_boot(&mut writer, 2, 40, keep);
+    writer.finish().expect("finish");
+    assert_eq!(read_live_runs(&path, "b").expect("read"), []);
+    read_live_runs(&path, "a").expect("read")
+}
+
+#[test]
+fn runs_are_read_boot_by_boot_as_far_as_the_journal_tells() {
+    let runs = live_runs("journal", |_, _| true);
+    let takeover = |before| Takeover { before, solution_of: before - 4 };
+    for (run, boot, pages) in [(&runs[0], 1, 2), (&runs[1], 2, 4)] {
+        assert_eq!((run.boot, &run.gap), (BootId(boot), &None));
+        let expected: Vec<Arrival> = (0..10 * pages).map(|index| imu(1_000 * boot as i64 + index)).collect();
+        assert_eq!(run.run.arrivals, expected);
+        assert_eq!(run.run.unseen, [5].into());
+        assert_eq!(run.run.takeovers, (1..=pages as u64).map(|page| takeover(10 * page)).collect::<Vec<_>>());
+    }
+    assert_eq!(runs.len(), 2);
+}
+
+#[test]
+fn run_ends_where_something_is_missing_and_says_what() {
+    let cases: [(&str, fn(Topic, u64) -> bool, usize, &str); 4] = [
+        (
+            "reading",
+            |topic, sequence| topic == Topic::Journal || sequence != 13,
+            13,
+            "message 13 of imu is missing",
+        ),
+        (
+            "page",
+            |topic, sequence| topic != Topic::Journal || sequence != 1,
+            10,
+            "goes on at reading 20, not at 10",
+        ),
+        (
+            "start",
+            |topic, sequence| topic != Topic::Journal || sequence > 1,
+            0,
+            "goes on at reading 20, not at 0",
+        ),
+        (
+            "first",
+            |topic, sequence| topic == Topic::Journal || sequence > 2,
+            0,
+            "message 0 of imu is missing",
+        ),
+    ];
+    for (name, keep, readings, expected) in cases {
+        let runs = live_runs(&format!("gap-{name}"), keep);
+        assert_eq!((runs.len(), &runs[0].gap), (2, &None), "{name}");
+        assert_eq!(runs[1].run.arrivals.len(), readings, "{name}");
+        let gap = runs[1].gap.as_ref().expect(name);
+        assert!(gap.contains(expected), "{name}: {gap}");
+    }
 }

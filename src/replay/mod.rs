@@ -1,13 +1,16 @@
 //! A log through the estimator, and the files that come out of it.
 //!
 //! The run is deterministic: the same readings give the same files but for the times in `summary.json`, which
-//! come from the caller's clock. In real time and over Zenoh, readings go through the room `machine` instead.
+//! come from the caller's clock. What ran on two threads, in the room `live`, comes out the same to the bit when
+//! it is run [`again`] with the takeovers that were kept of it.
 
+mod again;
 mod outputs;
 mod summary;
 
 use std::io;
 
+pub use again::{NotThatRun, again};
 pub use outputs::Outputs;
 pub use summary::{Distribution, Moments, Outage, Summary, Tally, Times};
 
@@ -44,15 +47,15 @@ pub fn run<E: From<io::Error>>(
         let before = clock();
         let estimate = estimator.predict(&arrival);
         let predicted = clock();
-        let takeover = estimator.update(&arrival);
+        let correction = estimator.update(&arrival);
         let updated = clock();
         tally.note_arrival(&arrival);
         if matches!(arrival.reading, Reading::Imu(_)) {
             tally.predict.note(predicted - before);
         }
-        if let Some(takeover) = takeover {
+        if let Some(correction) = correction {
             tally.update.note(updated - predicted);
-            tally.note_takeover(&takeover);
+            tally.note_correction(&correction);
         }
         if let Some(estimate) = &estimate {
             tally.estimates += 1;

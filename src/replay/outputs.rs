@@ -2,15 +2,17 @@
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use crate::export::write_tum_line;
-use crate::state::{Estimate, Event};
+use crate::state::{Estimate, Event, Takeover};
 
 use super::Summary;
 
 const HEADER: &str =
     "t,x,y,z,qx,qy,qz,qw,vx,vy,vz,bgx,bgy,bgz,bax,bay,baz,sd_x,sd_y,sd_z,sd_roll,sd_pitch,sd_yaw,mode";
+
+const TAKEOVERS: &str = "takeovers.csv";
 
 /// Writers of `world.tum`, `odom.tum`, `base_odom.tum`, `estimate.csv`, `events.jsonl` in one folder.
 pub struct Outputs {
@@ -19,7 +21,9 @@ pub struct Outputs {
     base_odom: BufWriter<File>,
     estimates: BufWriter<File>,
     events: BufWriter<File>,
-    summary: std::path::PathBuf,
+    /// Only of a run on two threads.
+    takeovers: Option<BufWriter<File>>,
+    directory: PathBuf,
 }
 
 impl Outputs {
@@ -29,6 +33,10 @@ impl Outputs {
     /// Those of the file system.
     pub fn create(directory: &Path) -> io::Result<Self> {
         fs::create_dir_all(directory)?;
+        match fs::remove_file(directory.join(TAKEOVERS)) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+            _ => {}
+        }
         let create = |name: &str| File::create(directory.join(name)).map(BufWriter::new);
         let mut estimates = create("estimate.csv")?;
         writeln!(estimates, "{HEADER}")?;
@@ -38,8 +46,31 @@ impl Outputs {
             base_odom: create("base_odom.tum")?,
             estimates,
             events: create("events.jsonl")?,
-            summary: directory.join("summary.json"),
+            takeovers: None,
+            directory: directory.to_owned(),
         })
+    }
+
+    /// Makes `takeovers.csv`, for [`Outputs::write_takeover`].
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub fn keep_takeovers(&mut self) -> io::Result<()> {
+        let mut file = BufWriter::new(File::create(self.directory.join(TAKEOVERS))?);
+        writeln!(file, "before,solution_of")?;
+        self.takeovers = Some(file);
+        Ok(())
+    }
+
+    /// One line in `takeovers.csv`, if it is kept.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub fn write_takeover(&mut self, takeover: &Takeover) -> io::Result<()> {
+        match &mut self.takeovers {
+            Some(file) => writeln!(file, "{},{}", takeover.before, takeover.solution_of),
+            None => Ok(()),
+        }
     }
 
     /// One line in each pose file (the chassis' only where it is known) and in `estimate.csv`.
@@ -85,12 +116,11 @@ impl Outputs {
     /// # Errors
     /// Those of the file system.
     pub fn finish(mut self, summary: &Summary) -> io::Result<()> {
-        for writer in
-            [&mut self.world, &mut self.odom, &mut self.base_odom, &mut self.estimates, &mut self.events]
-        {
+        let poses = [&mut self.world, &mut self.odom, &mut self.base_odom, &mut self.estimates];
+        for writer in poses.into_iter().chain([&mut self.events]).chain(&mut self.takeovers) {
             writer.flush()?;
         }
-        let mut file = File::create(&self.summary)?;
+        let mut file = File::create(self.directory.join("summary.json"))?;
         serde_json::to_writer_pretty(&mut file, summary)?;
         writeln!(file)
     }

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use crate::estimator::Takeover;
+use crate::estimator::Correction;
 use crate::sensors::{Arrival, Reading};
 use crate::state::{Event, EventKind, GnssState, Health, OutageReport};
 use crate::time::Stamp;
@@ -193,8 +193,8 @@ impl Tally {
         }
     }
 
-    pub fn note_takeover(&mut self, takeover: &Takeover) {
-        if let Some(correction_m) = takeover.correction_m {
+    pub fn note_correction(&mut self, correction: &Correction) {
+        if let Some(correction_m) = correction.correction_m {
             self.corrections += 1;
             self.correction_sum_cm += 100.0 * correction_m;
             self.correction_squares_cm += (100.0 * correction_m).powi(2);

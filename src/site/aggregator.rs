@@ -158,7 +158,7 @@ fn on_publication(fleet: &mut Fleet, inbound: &Inbound) -> Result<(), WireError>
         Topic::Odom => fleet.chassis(machine, odom_from_base(&Odometry::decode(payload)?)?, *received),
         Topic::Health => fleet.report(machine, report(wire::decode_report(payload)?)?, *received),
         // For the record only.
-        Topic::Event | Topic::Sensor(_) => {}
+        Topic::Event | Topic::Journal | Topic::Sensor(_) => {}
     }
     Ok(())
 }
@@ -169,6 +169,7 @@ fn fleet_topic(topic: Topic) -> fleet::Topic {
         Topic::Odom => fleet::Topic::Odom,
         Topic::Health => fleet::Topic::Health,
         Topic::Event => fleet::Topic::Event,
+        Topic::Journal => fleet::Topic::Journal,
         Topic::Sensor(sensor) => fleet::Topic::Sensor(sensor),
     }
 }

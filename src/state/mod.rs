@@ -1,8 +1,10 @@
 //! What the estimator knows and says: the navigation state, the estimate at IMU rate, health and events.
 
 mod health;
+mod live;
 
 pub use health::{Event, EventKind, GnssState, Graph, Health, OutageReport, SensorHealth, Severity};
+pub use live::{LiveRun, Takeover};
 
 use std::fmt;
 

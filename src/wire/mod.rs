@@ -7,6 +7,7 @@
 mod attachment;
 mod cdr;
 mod convert;
+mod journal;
 mod keys;
 mod messages;
 mod report;
@@ -16,9 +17,13 @@ mod topic;
 pub use attachment::{ATTACHMENT_BYTES, Attachment, BootId};
 pub use cdr::{CdrError, CdrReader, CdrWriter};
 pub use convert::{decode_reading, encode_reading, odom_message, pose_message};
+pub use journal::{JournalPage, PAGE_READINGS_MAX};
 pub use keys::{Key, KeyError, alive_key, alive_selector, topic_key, topic_selector};
 pub use messages::{Header, Imu, JointState, NavSatFix, NavSatStatus, Odometry, RosMessage};
-pub use report::{Latency, MachineReport, Origin, RigidMotion, decode_event, decode_report, encode_json};
+pub use report::{
+    Latency, MachineReport, Origin, RigidMotion, decode_event, decode_journal_page, decode_report,
+    encode_json,
+};
 pub use schema::{Schema, schema_of};
 pub use topic::Topic;
 

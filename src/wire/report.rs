@@ -3,7 +3,7 @@
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use super::{BootId, WireError};
+use super::{BootId, JournalPage, WireError};
 use crate::frames::Pose;
 use crate::frames::geodesy::Geodetic;
 use crate::lie::{Se3, So3, Vec3};
@@ -126,6 +126,14 @@ pub fn decode_report(bytes: &[u8]) -> Result<MachineReport, WireError> {
 /// [`WireError`] if it is too long or not an event.
 pub fn decode_event(bytes: &[u8]) -> Result<Event, WireError> {
     decode("event", bytes)
+}
+
+/// Reads the payload of topic `journal`.
+///
+/// # Errors
+/// [`WireError`] if it is too long or not a page.
+pub fn decode_journal_page(bytes: &[u8]) -> Result<JournalPage, WireError> {
+    decode("journal page", bytes)
 }
 
 fn decode<T: DeserializeOwned>(message: &'static str, bytes: &[u8]) -> Result<T, WireError> {

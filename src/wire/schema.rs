@@ -123,7 +123,7 @@ pub const fn schema_of(topic: Topic) -> Option<Schema> {
             Some(Schema { name: NavSatFix::TYPE, definition: NAV_SAT_FIX })
         }
         Topic::Sensor(Sensor::CabinTurn) => Some(Schema { name: JointState::TYPE, definition: JOINT_STATE }),
-        Topic::Health | Topic::Event => None,
+        Topic::Health | Topic::Event | Topic::Journal => None,
     }
 }
 

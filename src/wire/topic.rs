@@ -15,17 +15,20 @@ pub enum Topic {
     Health,
     /// What happened, JSON.
     Event,
+    /// In which order the readings were taken, and where solutions were taken over: for replay, JSON.
+    Journal,
     /// Readings of one sensor, ROS 2 messages.
     Sensor(Sensor),
 }
 
 impl Topic {
     /// All topics: what the machine says, then what its sensors say.
-    pub const ALL: [Topic; 10] = [
+    pub const ALL: [Topic; 11] = [
         Topic::Pose,
         Topic::Odom,
         Topic::Health,
         Topic::Event,
+        Topic::Journal,
         Topic::Sensor(Sensor::Imu),
         Topic::Sensor(Sensor::BaseImu),
         Topic::Sensor(Sensor::GnssLeft),
@@ -41,6 +44,7 @@ impl Topic {
             Topic::Odom => "odom",
             Topic::Health => "health",
             Topic::Event => "event",
+            Topic::Journal => "journal",
             Topic::Sensor(Sensor::Imu) => "sensor/imu",
             Topic::Sensor(Sensor::BaseImu) => "sensor/base_imu",
             Topic::Sensor(Sensor::GnssLeft) => "sensor/gnss_left",
@@ -57,7 +61,7 @@ impl Topic {
 
     /// Whether its messages are JSON; the others are CDR.
     pub const fn is_json(self) -> bool {
-        matches!(self, Topic::Health | Topic::Event)
+        matches!(self, Topic::Health | Topic::Event | Topic::Journal)
     }
 }
 

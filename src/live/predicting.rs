@@ -1,0 +1,168 @@
+//! The predictor's thread.
+
+use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, TrySendError};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use super::bell::Bell;
+use super::{Finished, Origin, PredictorOutlet, Taken};
+use crate::estimator::{Predictor, Solution};
+use crate::sensors::{Arrival, Sensor};
+use crate::state::Takeover;
+use crate::time::{Span, Stamp};
+
+/// A reading that arrives so much before the last one shows that the clock was set back.
+const CLOCK_SET_BACK: Span = Span::from_millis(1_000);
+/// The rehearsal is so long before the next sample is due: time to wake up, and not to be forgotten again.
+const REHEARSE_BEFORE: Duration = Duration::from_micros(200);
+/// A sample that is not there yet is rehearsed for again after so long...
+const REHEARSE_AGAIN: Duration = Duration::from_micros(150);
+/// ... until so long after it was due.
+const REHEARSE_UNTIL: Duration = Duration::from_millis(2);
+
+/// A reading for the updater, with its number.
+pub(super) type Numbered = (u64, Arrival);
+
+/// What the thread owns.
+pub(super) struct Predicting<O> {
+    predictor: Predictor,
+    origin: Origin,
+    imu_period: Duration,
+    outlet: O,
+    to_updater: SyncSender<Numbered>,
+    updater_bell: Bell,
+    /// Readings taken so far.
+    taken: u64,
+    latest_arrival: Option<Stamp>,
+    sample_due: Option<Instant>,
+}
+
+impl<O: PredictorOutlet> Predicting<O> {
+    pub(super) fn new(
+        predictor: Predictor,
+        origin: Origin,
+        imu_period: Duration,
+        outlet: O,
+        to_updater: SyncSender<Numbered>,
+        updater_bell: Bell,
+    ) -> Self {
+        Self {
+            predictor,
+            origin,
+            imu_period,
+            outlet,
+            to_updater,
+            updater_bell,
+            taken: 0,
+            latest_arrival: None,
+            sample_due: None,
+        }
+    }
+
+    /// Until the last inlet is dropped or the updater is gone.
+    pub(super) fn run(
+        mut self,
+        readings: &Receiver<Arrival>,
+        solutions: &Receiver<Finished>,
+        used: &SyncSender<Box<Solution>>,
+    ) {
+        loop {
+            let reading = readings.try_recv();
+            let mut idle = reading.is_err();
+            match reading {
+                Ok(arrival) => {
+                    if !self.take(arrival) {
+                        // The updater has panicked; without it there is no estimate worth having.
+                        break;
+                    }
+                }
+                Err(TryRecvError::Disconnected) => break,
+                Err(TryRecvError::Empty) => {}
+            }
+            // One after each reading, so that neither keeps the other waiting.
+            if let Ok(finished) = solutions.try_recv() {
+                idle = false;
+                self.take_over(&finished);
+                // There is room for all that can be under way.
+                let _ = used.try_send(finished.solution);
+            }
+            if idle {
+                self.wait();
+            }
+        }
+        let Self { to_updater, updater_bell, .. } = self;
+        // First the sender, so that the updater sees the end when it wakes.
+        drop(to_updater);
+        updater_bell.ring();
+    }
+
+    /// False if the updater is gone.
+    fn take(&mut self, mut arrival: Arrival) -> bool {
+        let start = Instant::now();
+        arrival.arrival = self.in_order(arrival.arrival);
+        let estimate = self.predictor.push(&arrival);
+        let took = start.elapsed();
+        let number = self.taken;
+        self.taken += 1;
+        let seen = match self.origin {
+            Origin::Machine => match self.to_updater.try_send((number, arrival)) {
+                Ok(()) => true,
+                Err(TrySendError::Full(_)) => false,
+                Err(TrySendError::Disconnected(_)) => return false,
+            },
+            Origin::Log => match self.to_updater.send((number, arrival)) {
+                Ok(()) => true,
+                Err(_) => return false,
+            },
+        };
+        self.updater_bell.ring();
+        if arrival.reading.sensor() == Sensor::Imu {
+            self.sample_due = Some(start + self.imu_period);
+        }
+        self.outlet.taken(Taken { number, arrival: &arrival, seen, estimate, took });
+        self.predictor.settle();
+        true
+    }
+
+    fn take_over(&mut self, finished: &Finished) {
+        let correction = self.predictor.adopt_measured(&finished.solution);
+        let takeover = Takeover { before: self.taken, solution_of: finished.solution_of };
+        self.outlet.taken_over(takeover, correction);
+    }
+
+    /// Parks until somebody rings or a rehearsal is due, and rehearses. Wakes too early at times, which does no
+    /// harm.
+    fn wait(&mut self) {
+        let Some(due) = self.sample_due else { return thread::park() };
+        let now = Instant::now();
+        if now > due + REHEARSE_UNTIL {
+            self.sample_due = None;
+            return;
+        }
+        match due.checked_duration_since(now + REHEARSE_BEFORE) {
+            Some(early) if !early.is_zero() => thread::park_timeout(early),
+            _ => {
+                self.predictor.rehearse();
+                thread::park_timeout(REHEARSE_AGAIN);
+            }
+        }
+    }
+
+    /// Times of arrival rise strictly, so that their order can be had from a recording, unless the clock was
+    /// set back. A log's stay as they are.
+    fn in_order(&mut self, arrival: Stamp) -> Stamp {
+        let earliest = self.latest_arrival.map(|latest| latest + Span::from_nanos(1));
+        let arrival = match earliest {
+            Some(earliest)
+                if self.origin == Origin::Machine
+                    && arrival < earliest
+                    && earliest - arrival < CLOCK_SET_BACK =>
+            {
+                earliest
+            }
+            _ => arrival,
+        };
+        self.latest_arrival = Some(arrival);
+        arrival
+    }
+}

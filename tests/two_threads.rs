@@ -1,0 +1,194 @@
+//! Predictor and updater on two threads: the predictor never waits, and with the takeovers that were kept a run
+//! comes out the same on one thread, to the bit.
+#![allow(clippy::disallowed_methods, reason = "what runs on threads is tried on threads")]
+
+#[path = "support/run.rs"]
+mod run;
+
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+use holdfast::estimator::{Estimator, Options, split};
+use holdfast::live::Origin;
+use holdfast::replay::{NotThatRun, again};
+use holdfast::sensors::{Arrival, Sensor};
+use holdfast::simulate::{Scenario, Simulation};
+use holdfast::state::{Estimate, LiveRun, Takeover};
+use holdfast::time::Stamp;
+
+use run::on_two_threads;
+
+/// So many seconds of the demo's first machine, which loses GNSS after a while.
+fn log(seconds: f64) -> (Vec<Arrival>, Options) {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let scenario = Scenario::load(&root.join("config/scenarios/construction.toml")).expect("valid");
+    let simulation = Simulation::new(&scenario, 0).ending_at(Stamp::from_seconds(seconds));
+    let options = simulation.machine().estimator_options();
+    (simulation.collect(), options)
+}
+
+/// Sleeps until an arrival is due at this speed.
+fn paced(speed: f64) -> impl FnMut(&Arrival) {
+    let begin = Instant::now();
+    move |arrival| {
+        let due = Duration::from_secs_f64(arrival.arrival.as_seconds() / speed);
+        if let Some(early) = due.checked_sub(begin.elapsed()) {
+            std::thread::sleep(early);
+        }
+    }
+}
+
+fn replayed(run: &LiveRun, options: Options) -> Vec<Estimate> {
+    let mut estimates = vec![];
+    again(run, options, |estimate| estimates.push(*estimate)).expect("that run");
+    estimates
+}
+
+/// To the bit: `==` would take -0 for 0.
+fn assert_same_bits(found: &[Estimate], expected: &[Estimate]) {
+    assert_eq!(found.len(), expected.len());
+    for (found, expected) in found.iter().zip(expected) {
+        assert_eq!(found, expected);
+        assert_eq!(format!("{found:?}"), format!("{expected:?}"));
+    }
+}
+
+fn in_turn(arrivals: &[Arrival], options: Options) -> Vec<Estimate> {
+    let mut estimator = Estimator::new(options);
+    arrivals.iter().filter_map(|arrival| estimator.push(arrival)).collect()
+}
+
+#[test]
+fn run_on_two_threads_comes_out_the_same_on_one() {
+    let (arrivals, options) = log(60.0);
+    let (run, estimates) = on_two_threads(&arrivals, options.clone(), Origin::Machine, paced(30.0), |_| {});
+    assert_eq!(run.arrivals.len(), arrivals.len());
+    assert!(estimates.len() > 5_000, "{}", estimates.len());
+    // As on a machine, solutions come when other readings have come meanwhile: the estimates are others.
+    let late = run.takeovers.iter().filter(|takeover| takeover.before > takeover.solution_of + 1).count();
+    assert!(late > 100, "{late} of {}", run.takeovers.len());
+    assert!(estimates != in_turn(&arrivals, options.clone()));
+    assert_same_bits(&replayed(&run, options), &estimates);
+}
+
+#[test]
+fn readings_that_the_updater_had_no_room_for_are_known_to_the_replay() {
+    let (arrivals, options) = log(40.0);
+    // It pauses for so long that its queue runs over.
+    let go_on = Arc::new(AtomicBool::new(false));
+    let ended = Arc::clone(&go_on);
+    let mut taken = 0;
+    let pace = move |_: &Arrival| {
+        taken += 1;
+        // Past its start and more than the queue.
+        match taken {
+            8_000..13_000 => {}
+            13_000 => {
+                go_on.store(true, Ordering::SeqCst);
+                std::thread::sleep(Duration::from_millis(300));
+            }
+            _ => std::thread::sleep(Duration::from_micros(50)),
+        }
+    };
+    let slow = move |arrival: &Arrival| {
+        while arrival.arrival > Stamp::from_seconds(15.0) && !ended.load(Ordering::SeqCst) {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    };
+    let (run, estimates) = on_two_threads(&arrivals, options.clone(), Origin::Machine, pace, slow);
+    assert!(run.unseen.len() > 100, "{} of {} readings", run.unseen.len(), arrivals.len());
+    assert_same_bits(&replayed(&run, options.clone()), &estimates);
+    // And they matter.
+    let mut other = run;
+    other.unseen.clear();
+    let mut found = vec![];
+    let outcome = again(&other, options, |estimate| found.push(*estimate));
+    assert!(outcome.is_err() || found != estimates);
+}
+
+#[test]
+fn log_loses_nothing_however_fast_it_comes() {
+    let (arrivals, options) = log(30.0);
+    let (run, estimates) = on_two_threads(&arrivals, options.clone(), Origin::Log, |_| {}, |_| {});
+    assert_eq!(run.arrivals, arrivals);
+    assert!(run.unseen.is_empty());
+    assert_same_bits(&replayed(&run, options), &estimates);
+}
+
+#[test]
+fn predictor_goes_on_while_the_updater_is_stuck() {
+    let (arrivals, options) = log(14.0);
+    let stuck_since = Stamp::from_seconds(12.0);
+    let (handed, seen_when_free) = (Arc::new(AtomicU64::new(0)), Arc::new(AtomicU64::new(0)));
+    let (count, at_end) = (Arc::clone(&handed), Arc::clone(&seen_when_free));
+    let mut stuck = false;
+    let slow = move |arrival: &Arrival| {
+        if arrival.arrival > stuck_since && !std::mem::replace(&mut stuck, true) {
+            std::thread::sleep(Duration::from_millis(1_000));
+            at_end.store(count.load(Ordering::SeqCst), Ordering::SeqCst);
+        }
+    };
+    let mut paced = paced(20.0);
+    let pace = move |arrival: &Arrival| {
+        paced(arrival);
+        handed.fetch_add(1, Ordering::SeqCst);
+    };
+    let (run, estimates) = on_two_threads(&arrivals, options.clone(), Origin::Machine, pace, slow);
+    let total = arrivals.len() as u64;
+    assert_eq!(seen_when_free.load(Ordering::SeqCst), total, "the updater was stuck until the end");
+    // No solution came meanwhile, and every sample had its estimate.
+    let first = estimates[0].stamp;
+    let samples = arrivals.iter().filter(|arrival| arrival.reading.sensor() == Sensor::Imu);
+    let expected = samples.filter(|arrival| arrival.reading.stamp() >= first).count();
+    assert_eq!(estimates.len(), expected);
+    let begin = arrivals.partition_point(|arrival| arrival.arrival <= stuck_since) as u64;
+    // The last solution may have been under way.
+    let later = run.takeovers.iter().filter(|takeover| takeover.before > begin + 20).count();
+    assert!(later <= 1, "{later}");
+    assert_same_bits(&replayed(&run, options), &estimates);
+}
+
+#[test]
+fn rehearsals_change_no_bit() {
+    let (arrivals, options) = log(20.0);
+    let run = |rehearsed: bool| {
+        let (mut predictor, mut updater) = split(options.clone());
+        let mut estimates = vec![];
+        for arrival in &arrivals {
+            estimates.extend(predictor.push(arrival));
+            if rehearsed {
+                predictor.rehearse();
+            }
+            if let Some(solution) = updater.push(arrival) {
+                predictor.adopt(&solution);
+            }
+            if rehearsed {
+                predictor.rehearse();
+            }
+        }
+        estimates
+    };
+    assert_same_bits(&run(true), &run(false));
+}
+
+#[test]
+fn takeovers_of_another_run_are_refused() {
+    let (arrivals, options) = log(10.0);
+    let (run, _) = on_two_threads(&arrivals, options.clone(), Origin::Log, paced(50.0), |_| {});
+    let refused = |change: &dyn Fn(&mut LiveRun)| {
+        let mut other = run.clone();
+        change(&mut other);
+        again(&other, options.clone(), |_| {}).expect_err("another run")
+    };
+    let Takeover { before, solution_of } = run.takeovers[20];
+    let wrong = Takeover { before, solution_of: before };
+    assert_eq!(refused(&|run| run.takeovers[20] = wrong), NotThatRun::OutOfOrder(wrong));
+    let wrong = Takeover { before, solution_of: solution_of - 1 };
+    assert_eq!(refused(&|run| run.takeovers[20] = wrong), NotThatRun::NoSolution(wrong));
+    let next = run.takeovers[21];
+    assert_eq!(refused(&|run| _ = run.takeovers.remove(20)), NotThatRun::NoSolution(next));
+    let length = run.arrivals.len() as u64 / 2;
+    assert_eq!(refused(&|run| run.arrivals.truncate(length as usize)), NotThatRun::Ends(length));
+}
