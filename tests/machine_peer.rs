@@ -14,8 +14,8 @@ use holdfast::sensors::{Arrival, ImuSample, Reading, Sensor};
 use holdfast::simulate::{Scenario, Simulation};
 use holdfast::time::Stamp;
 use holdfast::wire::{
-    Attachment, Key, Odometry, RosMessage, Topic, WireError, alive_selector, decode_event, decode_reading,
-    decode_report, encode_reading, topic_key,
+    Attachment, Key, Odometry, RosMessage, Topic, WireError, alive_selector, decode_event,
+    decode_journal_page, decode_reading, decode_report, encode_reading, topic_key,
 };
 use tokio::sync::mpsc;
 use zenoh::sample::{Sample, SampleKind};
@@ -150,6 +150,7 @@ async fn played_machine_is_seen_whole_by_a_third_party() {
     let mut counts: BTreeMap<Topic, u64> = BTreeMap::new();
     let mut imu = Vec::new();
     let mut poses = Vec::new();
+    let (mut journaled, mut takeovers) = (0, 0);
     for _ in 0..total {
         let seen = observer.sample().await;
         let Ok(Key::Topic { machine: "walker-1", topic, .. }) = Key::parse(&seen.key) else {
@@ -173,6 +174,12 @@ async fn played_machine_is_seen_whole_by_a_third_party() {
                 assert_eq!((report.id.as_str(), report.boot), ("walker-1", boot));
             }
             Topic::Event => drop(decode_event(&seen.payload).expect("event")),
+            Topic::Journal => {
+                let page = decode_journal_page(&seen.payload).expect("page");
+                assert_eq!((page.boot, page.first, page.takeovers), (boot, journaled, takeovers));
+                journaled = page.end();
+                takeovers += u64::from(page.taken_over.is_some());
+            }
             Topic::Sensor(sensor) => {
                 let reading = decode_reading(sensor, &seen.payload).expect("reading");
                 if let Reading::Imu(sample) = reading {
@@ -182,6 +189,9 @@ async fn played_machine_is_seen_whole_by_a_third_party() {
         }
     }
     assert_eq!(counts, report.published.into_iter().filter(|(_, count)| *count > 0).collect());
+    assert_eq!(journaled, report.readings, "the journal has no gap");
+    // The last solutions may have come after the last reading.
+    assert!(takeovers > 50 && takeovers <= report.updates, "{takeovers} takeovers, {report}");
     assert!(counts[&Topic::Health] >= 3, "{counts:?}");
     // The readings are those of the log, moved to now.
     let logged: Vec<(Stamp, ImuSample)> = arrivals

@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 use std::fmt;
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
@@ -24,44 +23,68 @@ pub(super) struct Counters {
     pub(super) update_dropped: AtomicU64,
     /// Messages that the outbox did not take.
     pub(super) output_dropped: AtomicU64,
-    predict: Mutex<Predictions>,
-    update: Mutex<Times>,
+    /// From IMU samples to their estimates.
+    pub(super) predict: SharedTimes,
+    /// Updates.
+    pub(super) update: SharedTimes,
 }
 
-/// From IMU samples to their estimates: since the start, and since somebody last asked.
-#[derive(Debug, Default)]
-struct Predictions {
-    all: Times,
-    recent: Times,
+/// Times that one thread notes and others look at, without a lock that the one could wait on.
+#[derive(Debug)]
+pub(super) struct SharedTimes {
+    buckets: [AtomicU64; Times::BUCKETS],
+    sum: AtomicU64,
+    /// The bits of a float.
+    sum_of_squares: AtomicU64,
+    max: AtomicU64,
+    /// Since somebody last asked.
+    recent_max: AtomicU64,
+}
+
+impl Default for SharedTimes {
+    fn default() -> Self {
+        Self {
+            buckets: [const { AtomicU64::new(0) }; Times::BUCKETS],
+            sum: AtomicU64::new(0),
+            sum_of_squares: AtomicU64::new(0),
+            max: AtomicU64::new(0),
+            recent_max: AtomicU64::new(0),
+        }
+    }
+}
+
+impl SharedTimes {
+    /// Counts one; on one thread only.
+    pub(super) fn note(&self, duration: Duration) {
+        let nanos = u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX);
+        self.buckets[Times::bucket(nanos)].fetch_add(1, Ordering::Relaxed);
+        self.sum.fetch_add(nanos, Ordering::Relaxed);
+        let squares = f64::from_bits(self.sum_of_squares.load(Ordering::Relaxed));
+        self.sum_of_squares.store((squares + (nanos as f64).powi(2)).to_bits(), Ordering::Relaxed);
+        self.max.fetch_max(nanos, Ordering::Relaxed);
+        self.recent_max.fetch_max(nanos, Ordering::Relaxed);
+    }
+
+    /// All so far; what is noted meanwhile may be in it by half.
+    fn times(&self) -> Times {
+        let buckets = self.buckets.iter().map(|bucket| bucket.load(Ordering::Relaxed)).collect();
+        let sum = self.sum.load(Ordering::Relaxed) as f64;
+        let squares = f64::from_bits(self.sum_of_squares.load(Ordering::Relaxed));
+        Times::of(buckets, sum, squares, self.max.load(Ordering::Relaxed))
+    }
+
+    /// Those since `told`, which becomes all so far; `None` if there were none.
+    pub(super) fn latency_since(&self, told: &mut Times) -> Option<Latency> {
+        let times = self.times();
+        let max = self.recent_max.swap(0, Ordering::Relaxed);
+        let recent = times.since(told, max);
+        *told = times;
+        let Distribution { mean, p99, max, .. } = recent.distribution();
+        (recent.count() > 0).then_some(Latency { mean_us: mean, p99_us: p99, max_us: max })
+    }
 }
 
 impl Counters {
-    /// From an IMU sample to its estimate.
-    pub(super) fn predicted_in(&self, duration: Duration) {
-        let nanos = nanos(duration);
-        let mut predict = lock(&self.predict);
-        predict.all.note(nanos);
-        predict.recent.note(nanos);
-    }
-
-    /// One update.
-    pub(super) fn updated_in(&self, duration: Duration) {
-        lock(&self.update).note(nanos(duration));
-    }
-
-    /// From IMU samples to their estimates since the last call; `None` if there were none.
-    pub(super) fn recent_latency(&self) -> Option<Latency> {
-        let recent = {
-            let mut predict = lock(&self.predict);
-            if predict.recent.count() == 0 {
-                return None;
-            }
-            std::mem::take(&mut predict.recent)
-        };
-        let Distribution { mean, p99, max, .. } = recent.distribution();
-        Some(Latency { mean_us: mean, p99_us: p99, max_us: max })
-    }
-
     /// What was lost so far, by cause.
     pub(super) fn losses(&self) -> [(&'static str, u64); 4] {
         [
@@ -73,26 +96,17 @@ impl Counters {
     }
 
     pub(super) fn report(&self, published: BTreeMap<Topic, u64>) -> Report {
-        let update = lock(&self.update);
+        let update = self.update.times();
         Report {
             readings: self.readings.load(Ordering::Relaxed),
             estimates: self.estimates.load(Ordering::Relaxed),
             lost: self.losses().iter().map(|(_, count)| count).sum(),
-            predict_us: lock(&self.predict).all.distribution(),
+            predict_us: self.predict.times().distribution(),
             updates: update.count(),
             update_us: update.distribution(),
             published,
         }
     }
-}
-
-fn lock<T>(counted: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
-    // Plain numbers: at worst the last one is half counted.
-    counted.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
-}
-
-fn nanos(duration: Duration) -> u64 {
-    u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX)
 }
 
 /// What a machine's peer did in its run.
@@ -131,5 +145,27 @@ impl fmt::Display for Report {
             self.published.values().sum::<u64>(),
             self.lost,
         )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn recent_latency_is_that_since_the_last_look() {
+        let times = SharedTimes::default();
+        let mut told = Times::default();
+        assert_eq!(times.latency_since(&mut told), None);
+        (0..100).for_each(|_| times.note(Duration::from_micros(50)));
+        let first = times.latency_since(&mut told).expect("some");
+        assert_eq!((first.mean_us, first.max_us), (50.0, 50.0));
+        assert_eq!(times.latency_since(&mut told), None);
+        times.note(Duration::from_micros(4));
+        let second = times.latency_since(&mut told).expect("one");
+        assert_eq!((second.mean_us, second.max_us), (4.0, 4.0));
+        assert!((second.p99_us / 4.0 - 1.0).abs() < 0.02, "{second:?}");
+        let all = times.times();
+        assert_eq!((all.count(), all.distribution().max), (101, 50.0));
     }
 }

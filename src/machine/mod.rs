@@ -3,13 +3,19 @@
 //! Four things run, each owned by one thread or task and joined by bounded channels:
 //!
 //! ```text
-//! source ──readings──▶ predictor ──readings──▶ updater          (threads of std)
-//!                       ▲   │  └──readings, estimates──▶ outbox  (task of tokio, owns the session's
-//!                       └─solutions─┘  health, events ──▶          publishers)
+//! source ──readings──▶ predictor ──readings──▶ updater      (threads of the room `live`)
+//!                       ▲   │ │                  │ │
+//!                       └───┼─┼─────solutions────┘ └──health, events──▶ outbox  (task of tokio, owns the
+//!                           │ └──readings, estimates, takeovers───────▶          session's publishers)
 //! ```
 //!
 //! The predictor never waits for any of the others: what does not fit into a channel is counted and told.
 //! The estimator never runs on Zenoh's threads, and nothing is put on the network from the estimator's.
+//!
+//! The outbox keeps the journal: in which order the readings were taken and before which of them a solution was
+//! taken over. With the journal and the readings of a boot, a session's recording gives the estimates again to
+//! the bit ([`crate::record::read_live_runs`], [`crate::replay::again`]). What did not fit into a channel on
+//! the way to the outbox, or was lost on the network, shows as a gap there.
 //! What the estimate is worth is decided in the `estimator` room; what the fleet shows, on the site.
 
 #![allow(
@@ -26,6 +32,7 @@ mod source;
 
 use std::future::Future;
 use std::sync::Arc;
+use std::time::Duration;
 
 use zenoh::liveliness::LivelinessToken;
 
@@ -102,8 +109,10 @@ impl Machine {
         let clock = Clock::new(prepared.is_played().then_some(speed));
         let counters = Arc::new(Counters::default());
         let (outbox, outlets) = Outbox::start(&session, &machine, boot, clock, Arc::clone(&counters)).await?;
-        let (predictor, updater) = estimator::split(machine.estimator_options());
-        let (pipeline, inlet) = Pipeline::start(predictor, updater, outlets.clone(), Arc::clone(&counters))?;
+        let halves = estimator::split(machine.estimator_options());
+        let passes = if prepared.is_played() { speed } else { 1.0 };
+        let imu_period = Duration::from_secs_f64(1.0 / machine.imu.update_rate / passes);
+        let (pipeline, inlet) = Pipeline::start(halves, imu_period, outlets.clone(), Arc::clone(&counters))?;
         let audience = Audience::watch(&session, &machine).await?;
         let surroundings = Surroundings { outlets, clock, counters: Arc::clone(&counters) };
         let feed = prepared.start(&session, &machine, inlet, surroundings, audience.present()).await?;

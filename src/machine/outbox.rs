@@ -17,12 +17,13 @@ use super::counters::Counters;
 use crate::config;
 use crate::frames::{Cabin, Imu, Odom, Pose, World};
 use crate::link::{self, LinkError};
+use crate::replay::Times;
 use crate::sensors::Arrival;
-use crate::state::{Estimate, Event, GnssState, Health, Mode};
+use crate::state::{Estimate, Event, GnssState, Health, Mode, Takeover};
 use crate::time::{Span, Stamp};
 use crate::wire::{
-    Attachment, BootId, Latency, MachineReport, RigidMotion, RosMessage, Topic, encode_json, encode_reading,
-    odom_message, pose_message, topic_key,
+    Attachment, BootId, JournalPage, Latency, MachineReport, PAGE_READINGS_MAX, RigidMotion, RosMessage,
+    Topic, encode_json, encode_reading, odom_message, pose_message, topic_key,
 };
 
 /// Estimates and readings on the way out: some two seconds of them. Full, it refuses.
@@ -51,7 +52,17 @@ pub(super) struct Outlets {
 #[expect(clippy::large_enum_variant, reason = "an estimate a sample is moved, not allocated")]
 enum Outgoing {
     Estimate(Estimate),
-    Reading(Arrival),
+    /// With its number, and whether the updater gets it, too.
+    Reading {
+        number: u64,
+        arrival: Arrival,
+        seen: bool,
+    },
+    /// With its number.
+    Takeover {
+        number: u64,
+        takeover: Takeover,
+    },
 }
 
 impl Outlets {
@@ -59,8 +70,12 @@ impl Outlets {
         self.count(self.stream.try_send(Outgoing::Estimate(estimate)).is_ok());
     }
 
-    pub(super) fn reading(&self, arrival: Arrival) {
-        self.count(self.stream.try_send(Outgoing::Reading(arrival)).is_ok());
+    pub(super) fn reading(&self, number: u64, arrival: Arrival, seen: bool) {
+        self.count(self.stream.try_send(Outgoing::Reading { number, arrival, seen }).is_ok());
+    }
+
+    pub(super) fn takeover(&self, number: u64, takeover: Takeover) {
+        self.count(self.stream.try_send(Outgoing::Takeover { number, takeover }).is_ok());
     }
 
     pub(super) fn event(&self, event: Event) {
@@ -90,7 +105,8 @@ impl Outbox {
     ) -> Result<(Self, Outlets), LinkError> {
         let mut channels = BTreeMap::new();
         for topic in Topic::ALL {
-            if matches!(topic, Topic::Sensor(_)) && !machine.publish.sensors {
+            // The journal is about readings, and worth nothing without them.
+            if matches!(topic, Topic::Sensor(_) | Topic::Journal) && !machine.publish.sensors {
                 continue;
             }
             let key = topic_key(&machine.link.site, &machine.id, topic);
@@ -116,6 +132,8 @@ impl Outbox {
             told: None,
             losses_told: [0; 4],
             prediction: None,
+            predictions_told: Times::default(),
+            page: JournalPage::new(boot, 0, 0),
         };
         let task = tokio::spawn(task.run(stream_receiver, events_receiver, health_receiver));
         Ok((Self { task }, Outlets { stream, events, health, counters }))
@@ -143,7 +161,8 @@ async fn declare(
         Topic::Pose => Priority::RealTime,
         Topic::Odom => Priority::InteractiveHigh,
         Topic::Health | Topic::Event => Priority::DataHigh,
-        Topic::Sensor(_) => Priority::Data,
+        // Of one priority, so that a page does not overtake its readings.
+        Topic::Journal | Topic::Sensor(_) => Priority::Data,
     };
     let encoding = if topic.is_json() { Encoding::APPLICATION_JSON } else { Encoding::APPLICATION_CDR };
     session
@@ -180,6 +199,9 @@ struct Publishing {
     told: Option<(Mode, GnssState, bool)>,
     losses_told: [u64; 4],
     prediction: Option<Latency>,
+    predictions_told: Times,
+    /// The journal's, not yet full.
+    page: JournalPage,
 }
 
 impl Publishing {
@@ -206,7 +228,7 @@ impl Publishing {
                     }
                 }
                 _ = second.tick() => {
-                    self.prediction = self.counters.recent_latency();
+                    self.prediction = self.counters.predict.latency_since(&mut self.predictions_told);
                     let health = health.borrow().clone();
                     if let Some(health) = health {
                         self.health(health).await;
@@ -218,6 +240,7 @@ impl Publishing {
         while let Ok(event) = events.try_recv() {
             self.event(&event).await;
         }
+        self.turn_page().await;
         self.channels.into_iter().map(|(topic, channel)| (topic, channel.sequence)).collect()
     }
 
@@ -231,12 +254,44 @@ impl Publishing {
                     self.put(Topic::Odom, estimate.stamp, now, odom_message(&estimate).encode()).await;
                 }
             }
-            Outgoing::Reading(Arrival { arrival, reading }) => {
+            Outgoing::Reading { number, arrival: Arrival { arrival, reading }, seen } => {
                 let topic = Topic::Sensor(reading.sensor());
-                if self.channels.contains_key(&topic) {
-                    self.put(topic, reading.stamp(), arrival, encode_reading(&reading)).await;
+                if !self.channels.contains_key(&topic) {
+                    return;
+                }
+                self.put(topic, reading.stamp(), arrival, encode_reading(&reading)).await;
+                self.open_page_at(number, self.page.takeovers).await;
+                self.page.push(reading.sensor(), seen);
+                if self.page.sensors.len() >= PAGE_READINGS_MAX {
+                    self.turn_page().await;
                 }
             }
+            Outgoing::Takeover { number, takeover } => {
+                self.open_page_at(takeover.before, number).await;
+                self.page.taken_over = Some(takeover.solution_of);
+                self.turn_page().await;
+            }
+        }
+    }
+
+    /// Another page if this one does not go on there: something was lost on the way here.
+    async fn open_page_at(&mut self, end: u64, takeovers: u64) {
+        if (self.page.end(), self.page.takeovers) != (end, takeovers) {
+            self.turn_page().await;
+            self.page = JournalPage::new(self.boot, end, takeovers);
+        }
+    }
+
+    async fn turn_page(&mut self) {
+        if self.page.is_empty() {
+            return;
+        }
+        let next = self.page.next();
+        let page = std::mem::replace(&mut self.page, next);
+        let now = self.clock.now();
+        match encode_json("journal page", &page) {
+            Ok(payload) => self.put(Topic::Journal, now, now, payload).await,
+            Err(error) => tracing::error!(%error, "a page of the journal cannot be published"),
         }
     }
 

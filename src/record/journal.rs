@@ -73,6 +73,10 @@ fn append(run: &mut LiveRun, page: &JournalPage, shelf: &mut Shelf) -> Result<()
     if page.first != end {
         return Err(format!("the journal goes on at reading {}, not at {end}", page.first));
     }
+    let takeovers = run.takeovers.len() as u64;
+    if page.takeovers != takeovers {
+        return Err(format!("the journal goes on at takeover {}, not at {takeovers}", page.takeovers));
+    }
     for sensor in page.sensors().map_err(|error| error.to_string())? {
         run.arrivals.push(shelf.take(sensor)?);
     }

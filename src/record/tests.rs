@@ -280,7 +280,7 @@ fn time_before_the_epoch_and_a_clock_set_back_do_no_harm() {
 /// A boot of machine `a` that took so many samples, with a page and a takeover after every ten; what `keep` does
 /// not want is lost on the way.
 fn write_boot(writer: &mut RecordWriter, boot: u64, samples: i64, keep: impl Fn(Topic, u64) -> bool) {
-    let mut page = JournalPage::new(BootId(boot), 0);
+    let mut page = JournalPage::new(BootId(boot), 0, 0);
     let mut pages = 0;
     let mut write = |message: Recorded<Vec<u8>>| {
         if keep(message.topic, message.sequence) {
@@ -297,7 +297,7 @@ fn write_boot(writer: &mut RecordWriter, boot: u64, samples: i64, keep: impl Fn(
             let message = recorded("a", pages, &reading);
             write(Recorded { topic: Topic::Journal, payload, ..message });
             pages += 1;
-            page = JournalPage::new(BootId(boot), page.end());
+            page = page.next();
         }
     }
 }

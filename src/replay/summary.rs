@@ -102,16 +102,39 @@ pub struct Times {
 
 impl Default for Times {
     fn default() -> Self {
-        Self { buckets: vec![0; 64 * 64], count: 0, sum: 0.0, sum_of_squares: 0.0, max: 0 }
+        Self { buckets: vec![0; Self::BUCKETS], count: 0, sum: 0.0, sum_of_squares: 0.0, max: 0 }
     }
 }
 
 impl Times {
-    /// Counts one.
-    pub fn note(&mut self, nanos: u64) {
+    /// How many buckets there are.
+    pub const BUCKETS: usize = 64 * 64;
+
+    /// The bucket in which a time is counted.
+    pub fn bucket(nanos: u64) -> usize {
         let octave = 63 - nanos.max(64).leading_zeros() as usize;
         let place = ((nanos.max(64) >> (octave - 6)) & 63) as usize;
-        self.buckets[octave * 64 + place] += 1;
+        octave * 64 + place
+    }
+
+    /// Times that were counted elsewhere: [`Times::BUCKETS`] counts, sums and largest in nanoseconds.
+    pub fn of(buckets: Vec<u64>, sum: f64, sum_of_squares: f64, max: u64) -> Self {
+        assert_eq!(buckets.len(), Self::BUCKETS, "one count a bucket");
+        let count = buckets.iter().sum();
+        Self { buckets, count, sum, sum_of_squares, max }
+    }
+
+    /// Those that are not in `earlier`, of which the largest is `max`.
+    pub fn since(&self, earlier: &Self, max: u64) -> Self {
+        let buckets = self.buckets.iter().zip(&earlier.buckets);
+        let buckets = buckets.map(|(now, before)| now.saturating_sub(*before)).collect();
+        let sum = self.sum - earlier.sum;
+        Self::of(buckets, sum, self.sum_of_squares - earlier.sum_of_squares, max)
+    }
+
+    /// Counts one.
+    pub fn note(&mut self, nanos: u64) {
+        self.buckets[Self::bucket(nanos)] += 1;
         self.count += 1;
         self.sum += nanos as f64;
         self.sum_of_squares += (nanos as f64).powi(2);

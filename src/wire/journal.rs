@@ -19,6 +19,8 @@ pub struct JournalPage {
     pub boot: BootId,
     /// Number of the page's first reading, counted over all sensors from 0.
     pub first: u64,
+    /// So many solutions were taken over since the boot before this page.
+    pub takeovers: u64,
     /// One letter for each reading, in order: `i` cabin IMU, `b` chassis IMU, `l` and `r` left and right antenna,
     /// `o` lidar odometry, `t` cabin turn.
     pub sensors: String,
@@ -32,13 +34,23 @@ pub struct JournalPage {
 
 impl JournalPage {
     /// An empty page.
-    pub fn new(boot: BootId, first: u64) -> Self {
-        Self { boot, first, sensors: String::new(), unseen: vec![], taken_over: None }
+    pub fn new(boot: BootId, first: u64, takeovers: u64) -> Self {
+        Self { boot, first, takeovers, sensors: String::new(), unseen: vec![], taken_over: None }
     }
 
     /// Number of the reading after the page's last.
     pub fn end(&self) -> u64 {
         self.first.saturating_add(self.sensors.len() as u64)
+    }
+
+    /// Whether nothing is on it.
+    pub fn is_empty(&self) -> bool {
+        self.sensors.is_empty() && self.taken_over.is_none()
+    }
+
+    /// The page after this one, empty.
+    pub fn next(&self) -> Self {
+        Self::new(self.boot, self.end(), self.takeovers + u64::from(self.taken_over.is_some()))
     }
 
     /// Adds the next reading.
@@ -81,7 +93,7 @@ mod tests {
 
     #[test]
     fn page_is_as_documented_and_comes_back() {
-        let mut page = JournalPage::new(BootId(0xab), 7);
+        let mut page = JournalPage::new(BootId(0xab), 7, 3);
         Sensor::ALL.into_iter().for_each(|sensor| page.push(sensor, sensor != Sensor::GnssLeft));
         page.taken_over = Some(9);
         assert_eq!((page.end(), page.sensors.as_str()), (13, "iblrot"));
@@ -89,19 +101,21 @@ mod tests {
         let text = std::str::from_utf8(&bytes).expect("UTF-8");
         assert_eq!(
             text,
-            r#"{"boot":"00000000000000ab","first":7,"sensors":"iblrot","unseen":[9],"taken_over":9}"#
+            r#"{"boot":"00000000000000ab","first":7,"takeovers":3,"sensors":"iblrot","unseen":[9],"taken_over":9}"#
         );
         let back = decode_journal_page(&bytes).expect("own bytes");
         assert_eq!(back, page);
         assert_eq!(back.sensors().expect("ours"), Sensor::ALL);
-        let plain = JournalPage::new(BootId(1), 0);
+        let plain = JournalPage::new(BootId(1), 0, 0);
+        assert!(plain.is_empty() && !page.is_empty());
+        assert_eq!(page.next(), JournalPage::new(page.boot, 13, 4));
         let bytes = encode_json("journal page", &plain).expect("JSON");
         assert_eq!(decode_journal_page(&bytes).expect("own bytes"), plain);
     }
 
     #[test]
     fn what_is_no_page_is_refused() {
-        let mut page = JournalPage::new(BootId(1), u64::MAX);
+        let mut page = JournalPage::new(BootId(1), u64::MAX, 0);
         page.sensors = "ix".to_owned();
         assert!(page.sensors().expect_err("x").to_string().contains("'x' stands for no sensor"));
         assert_eq!(page.end(), u64::MAX);
