@@ -5,17 +5,21 @@
 
 use std::hint::black_box;
 use std::path::Path;
-use std::sync::mpsc::sync_channel;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{Sender, SyncSender, channel, sync_channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
 use holdfast::config;
-use holdfast::estimator::{Estimator, Options, split};
+use holdfast::estimator::{Correction, Estimator, Options, Updater, split};
+use holdfast::live::{self, Origin, PredictorOutlet, Taken, UpdaterOutlet};
 use holdfast::preintegration::{Preintegration, Step};
 use holdfast::replay::{Distribution, Times};
 use holdfast::sensors::{Arrival, Reading};
 use holdfast::simulate::{Scenario, Simulation};
+use holdfast::state::{Estimate, Takeover};
 use holdfast::time::{Span, Stamp};
 
 /// One machine of the construction scenario up to `seconds`, and its options.
@@ -139,67 +143,112 @@ fn propagate_while_updates_run(_: &mut Criterion) {
     {
         return;
     }
-    for (speed, seconds) in [(1.0, 10.0), (20.0, 100.0)] {
-        let (times, updates) = live(speed, seconds);
-        let Distribution { mean, p50, p99, p999, max, .. } = times.distribution();
-        println!(
-            "{name}, {speed} times real time: {} samples, mean {mean:.2} µs, 50 % {p50:.2}, 99 % {p99:.2}, \
-             99.9 % {p999:.2}, max {max:.0}; {updates} updates",
-            times.count()
-        );
+    for (speed, seconds) in [(1.0, 20.0), (20.0, 100.0)] {
+        for rehearsed in [false, true] {
+            let (prediction, since_handed, takeovers) = live(speed, seconds, rehearsed);
+            let how = if rehearsed { "rehearsed" } else { "not rehearsed" };
+            println!("{name}, {speed} times real time, {how}: {takeovers} takeovers");
+            for (what, times) in [("sample to state", prediction), ("with the wake-up", since_handed)] {
+                let Distribution { mean, p50, p99, p999, max, .. } = times.distribution();
+                println!(
+                    "  {what}: {} samples, mean {mean:.2} µs, 50 % {p50:.2}, 99 % {p99:.2}, 99.9 % {p999:.2}, \
+                     max {max:.0}",
+                    times.count()
+                );
+            }
+        }
     }
 }
 
-/// Times of the predictor over `seconds` of data at `speed`, and how many solutions it took over meanwhile.
-#[allow(clippy::disallowed_methods, reason = "what is measured here takes real time, on two threads")]
-fn live(speed: f64, seconds: f64) -> (Times, u64) {
-    /// Until the estimate has started: not paced, not measured.
-    const START_S: f64 = 15.0;
-    let (arrivals, options) = construction(START_S + seconds);
-    let (mut predictor, mut updater) = split(options);
-    let (to_updater, readings) = sync_channel::<Arrival>(1 << 14);
-    let (answers, solutions) = sync_channel(1 << 10);
-    let start = arrivals.partition_point(|arrival| arrival.arrival.as_seconds() <= START_S);
-    for arrival in &arrivals[..start] {
-        predictor.push(arrival);
-        if let Some(solution) = updater.push(arrival) {
-            predictor.adopt(&solution);
+/// Until the estimate has started: not paced, not measured.
+const START_S: f64 = 15.0;
+
+/// Measures on the predictor's thread, and passes estimates on to another thread, as a machine does.
+struct Measuring {
+    begin: Instant,
+    /// When each reading was handed over, ns since `begin`.
+    handed: Arc<Vec<AtomicU64>>,
+    passed_on: SyncSender<Estimate>,
+    measured: Sender<(Times, Times, u64)>,
+    times: (Times, Times, u64),
+    settled: bool,
+}
+
+impl PredictorOutlet for Measuring {
+    fn taken(&mut self, taken: Taken<'_>) {
+        let now = self.begin.elapsed().as_nanos() as u64;
+        self.settled = taken.arrival.arrival.as_seconds() > START_S + 0.5;
+        let Some(estimate) = taken.estimate else { return };
+        if self.settled {
+            self.times.0.note(taken.took.as_nanos() as u64);
+            let handed = self.handed[taken.number as usize].load(Ordering::Relaxed);
+            self.times.1.note(now.saturating_sub(handed));
         }
+        self.passed_on.try_send(estimate).expect("room");
     }
-    let worker = thread::spawn(move || {
-        for arrival in readings {
-            if let Some(solution) = updater.push(&arrival)
-                && answers.send(solution).is_err()
-            {
-                return;
+
+    fn taken_over(&mut self, _: Takeover, correction: Correction) {
+        self.times.2 += u64::from(self.settled);
+        black_box(correction);
+    }
+}
+
+impl Drop for Measuring {
+    fn drop(&mut self) {
+        let _ = self.measured.send(std::mem::take(&mut self.times));
+    }
+}
+
+struct Silent;
+
+impl UpdaterOutlet for Silent {
+    fn worked_off(&mut self, _: &Arrival, _: Option<Duration>, updater: &mut Updater) {
+        updater.take_events();
+    }
+
+    fn ended(self, _: Updater) {}
+}
+
+/// Over `seconds` of data at `speed`: from the sample in the predictor's hand to its estimate, the same from the
+/// hand-over by another thread on, and how many solutions were taken over. Threads and queues are those of a machine.
+#[allow(clippy::disallowed_methods, reason = "what is measured here takes real time, on threads")]
+fn live(speed: f64, seconds: f64, rehearsed: bool) -> (Times, Times, u64) {
+    let (arrivals, options) = construction(START_S + seconds);
+    let begin = Instant::now();
+    let handed: Arc<Vec<AtomicU64>> = Arc::new(arrivals.iter().map(|_| AtomicU64::new(0)).collect());
+    let (passed_on, estimates) = sync_channel(1 << 12);
+    let (measured, results) = channel();
+    let reader = thread::spawn(move || estimates.iter().for_each(|estimate| _ = black_box(estimate)));
+    let measuring = Measuring {
+        begin,
+        handed: Arc::clone(&handed),
+        passed_on,
+        measured,
+        times: Default::default(),
+        settled: false,
+    };
+    // A sample that is never due is not rehearsed for.
+    let period =
+        if rehearsed { Duration::from_secs_f64(0.01 / speed) } else { Duration::from_secs(1_000_000) };
+    let (threads, inlet) = live::start(split(options), Origin::Log, period, measuring, Silent)
+        .expect("the system gives threads");
+    let mut paced_from = None;
+    for (arrival, handed) in arrivals.iter().zip(handed.iter()) {
+        let data_s = arrival.arrival.as_seconds() - START_S;
+        if data_s > 0.0 {
+            let paced_from = *paced_from.get_or_insert_with(Instant::now);
+            let due = Duration::from_secs_f64(data_s / speed);
+            if let Some(early) = due.checked_sub(paced_from.elapsed()) {
+                thread::sleep(early);
             }
         }
-    });
-    let mut times = Times::default();
-    let mut updates = 0;
-    let begin = Instant::now();
-    for arrival in &arrivals[start..] {
-        let due = Duration::from_secs_f64((arrival.arrival.as_seconds() - START_S) / speed);
-        if let Some(early) = due.checked_sub(begin.elapsed()) {
-            thread::sleep(early);
-        }
-        for solution in solutions.try_iter() {
-            predictor.adopt(&solution);
-            updates += 1;
-        }
-        let before = Instant::now();
-        let estimate = black_box(predictor.push(black_box(arrival)));
-        let nanos = before.elapsed().as_nanos() as u64;
-        if estimate.is_some() {
-            times.note(nanos);
-        }
-        predictor.settle();
-        to_updater.send(*arrival).expect("the updater lives as long as its readings come");
+        handed.store(begin.elapsed().as_nanos() as u64, Ordering::Relaxed);
+        assert!(inlet.hand_over(*arrival), "the threads live as long as readings come");
     }
-    drop(to_updater);
-    drop(solutions);
-    worker.join().expect("the updater does not panic");
-    (times, updates)
+    drop(inlet);
+    assert!(threads.join(), "no panic");
+    reader.join().expect("no panic");
+    results.recv().expect("the predictor's thread has ended")
 }
 
 criterion_group!(

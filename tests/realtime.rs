@@ -25,8 +25,8 @@ const SPEED: &str = "20";
 const ESTIMATES: [&str; 4] = ["world.tum", "odom.tum", "base_odom.tum", "estimate.csv"];
 /// How far an estimate on two threads may be from the one that had its solutions at once: the way of the
 /// correction that came a few samples later, once it is settled.
-const APART_MAX_M: f64 = 0.06;
-const APART_RMS_MAX_M: f64 = 0.01;
+const APART_MAX_M: f64 = 0.03;
+const APART_RMS_MAX_M: f64 = 0.005;
 
 fn machine_file() -> PathBuf {
     repository("config/machines/simulated-roof.toml")

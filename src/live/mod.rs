@@ -19,6 +19,7 @@
 
 #![allow(clippy::disallowed_methods, reason = "shells have threads and clocks")]
 
+mod anticipation;
 mod bell;
 mod predicting;
 mod updating;

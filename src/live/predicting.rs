@@ -4,6 +4,7 @@ use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, TrySendError};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use super::anticipation::{Anticipation, Now};
 use super::bell::Bell;
 use super::{Finished, Origin, PredictorOutlet, Taken};
 use crate::estimator::{Predictor, Solution};
@@ -13,13 +14,6 @@ use crate::time::{Span, Stamp};
 
 /// A reading that arrives so much before the last one shows that the clock was set back.
 const CLOCK_SET_BACK: Span = Span::from_millis(1_000);
-/// The rehearsal is so long before the next sample is due: time to wake up, and not to be forgotten again.
-const REHEARSE_BEFORE: Duration = Duration::from_micros(200);
-/// A sample that is not there yet is rehearsed for again after so long...
-const REHEARSE_AGAIN: Duration = Duration::from_micros(150);
-/// ... until so long after it was due.
-const REHEARSE_UNTIL: Duration = Duration::from_millis(2);
-
 /// A reading for the updater, with its number.
 pub(super) type Numbered = (u64, Arrival);
 
@@ -27,14 +21,13 @@ pub(super) type Numbered = (u64, Arrival);
 pub(super) struct Predicting<O> {
     predictor: Predictor,
     origin: Origin,
-    imu_period: Duration,
+    anticipation: Anticipation,
     outlet: O,
     to_updater: SyncSender<Numbered>,
     updater_bell: Bell,
     /// Readings taken so far.
     taken: u64,
     latest_arrival: Option<Stamp>,
-    sample_due: Option<Instant>,
 }
 
 impl<O: PredictorOutlet> Predicting<O> {
@@ -49,13 +42,12 @@ impl<O: PredictorOutlet> Predicting<O> {
         Self {
             predictor,
             origin,
-            imu_period,
+            anticipation: Anticipation::new(imu_period),
             outlet,
             to_updater,
             updater_bell,
             taken: 0,
             latest_arrival: None,
-            sample_due: None,
         }
     }
 
@@ -117,7 +109,7 @@ impl<O: PredictorOutlet> Predicting<O> {
         };
         self.updater_bell.ring();
         if arrival.reading.sensor() == Sensor::Imu {
-            self.sample_due = Some(start + self.imu_period);
+            self.anticipation.note_sample(start);
         }
         self.outlet.taken(Taken { number, arrival: &arrival, seen, estimate, took });
         self.predictor.settle();
@@ -133,17 +125,12 @@ impl<O: PredictorOutlet> Predicting<O> {
     /// Parks until somebody rings or a rehearsal is due, and rehearses. Wakes too early at times, which does no
     /// harm.
     fn wait(&mut self) {
-        let Some(due) = self.sample_due else { return thread::park() };
-        let now = Instant::now();
-        if now > due + REHEARSE_UNTIL {
-            self.sample_due = None;
-            return;
-        }
-        match due.checked_duration_since(now + REHEARSE_BEFORE) {
-            Some(early) if !early.is_zero() => thread::park_timeout(early),
-            _ => {
+        match self.anticipation.at(Instant::now()) {
+            Now::Wait => thread::park(),
+            Now::WaitFor(span) => thread::park_timeout(span),
+            Now::RehearseAndWaitFor(span) => {
                 self.predictor.rehearse();
-                thread::park_timeout(REHEARSE_AGAIN);
+                thread::park_timeout(span);
             }
         }
     }
