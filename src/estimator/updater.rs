@@ -47,6 +47,9 @@ pub struct Updater {
     chassis_turn: ChassisTurn,
     monitor: Monitor,
     now: Stamp,
+    /// Memory of solutions that were adopted.
+    #[expect(clippy::vec_box, reason = "the boxes travel")]
+    used: Vec<Box<Solution>>,
 }
 
 enum Phase {
@@ -76,7 +79,13 @@ impl Updater {
             chassis_turn: ChassisTurn::default(),
             monitor: Monitor::default(),
             now: Stamp::default(),
+            used: Vec::new(),
         }
+    }
+
+    /// Gives back a solution that the predictor has adopted: the next one needs no new memory.
+    pub fn recycle(&mut self, used: Box<Solution>) {
+        self.used.push(used);
     }
 
     /// Takes any reading, in order of arrival. Returns a solution if it led to one.
@@ -404,7 +413,10 @@ impl Updater {
         let trusted = running.gate.trusted();
         let mode = self.mode(trusted, stamp);
         self.monitor.note_update(newest, &state, &covariance, mode);
-        Some(Box::new(Solution { stamp: newest, state, covariance, mode, restart }))
+        let solution = Solution { stamp: newest, state, covariance, mode, restart };
+        let Some(mut used) = self.used.pop() else { return Some(Box::new(solution)) };
+        *used = solution;
+        Some(used)
     }
 
     /// Ties two nodes by what the chassis' sensors say, about once a second.

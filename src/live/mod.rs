@@ -10,8 +10,8 @@
 //! The predictor waits for nothing but its next reading or solution, and that by parking: queues are tried, not
 //! waited on, and whoever puts something in unparks the other thread, which takes no lock. A solution is taken
 //! over as soon as it is there, at the place in the stream of readings that its [`Takeover`] names; with the
-//! readings and the takeovers [`crate::replay::again`] gives the same estimates to the bit. Memory of a solution
-//! goes back to the updater's thread, so the predictor allocates nothing and frees nothing.
+//! readings and the takeovers [`crate::replay::again`] gives the same estimates to the bit. A solution that was adopted
+//! goes back to the updater for its next one; in the steady state neither thread allocates or frees anything.
 //!
 //! Shortly before an IMU sample is due, the predictor's thread wakes and rehearses (see
 //! [`Predictor::rehearse`]): the sample then finds warm caches. What is done with estimates, events and health

@@ -34,7 +34,7 @@ impl<O: UpdaterOutlet> Updating<O> {
     }
 
     fn work_off(&mut self, (number, arrival): Numbered) {
-        self.spare.try_iter().for_each(drop);
+        self.spare.try_iter().for_each(|used| self.updater.recycle(used));
         let start = Instant::now();
         let solution = self.updater.push(&arrival);
         let took = solution.is_some().then(|| start.elapsed());

@@ -86,10 +86,13 @@ fn append(run: &mut LiveRun, page: &JournalPage, shelf: &mut Shelf) -> Result<()
     Ok(())
 }
 
+/// A reading with the number of its message.
+type Numbered = (u32, Result<Arrival, WireError>);
+
 /// The readings of each sensor in the order of the file, and which is the next one of the boot.
 #[derive(Default)]
 struct Shelf {
-    readings: BTreeMap<Sensor, VecDeque<(u32, Result<Arrival, WireError>)>>,
+    readings: BTreeMap<Sensor, VecDeque<Numbered>>,
     next: BTreeMap<Sensor, u32>,
 }
 

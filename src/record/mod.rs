@@ -1,7 +1,7 @@
 //! Recordings: MCAP files with every machine's messages, written so that a power cut costs one second at most.
 //!
 //! A file has profile `ros2`; its topics are `/{machine}/{topic}`, ROS 2 messages in CDR with `ros2msg`
-//! schemas, reports and events as JSON without a schema (rosbags refuses a file that holds a schema of
+//! schemas, reports, events and the journal as JSON without a schema (rosbags refuses a file that holds a schema of
 //! another kind). `log_time` is when the recorder received a message, `publish_time` when the machine sent
 //! it, which for a reading is when it arrived at the machine. This room touches files, but reads no clock:
 //! the caller gives the time. Which sessions there are is the site's business.

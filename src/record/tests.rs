@@ -329,7 +329,8 @@ fn runs_are_read_boot_by_boot_as_far_as_the_journal_tells() {
 
 #[test]
 fn run_ends_where_something_is_missing_and_says_what() {
-    let cases: [(&str, fn(Topic, u64) -> bool, usize, &str); 4] = [
+    type Keep = fn(Topic, u64) -> bool;
+    let cases: [(&str, Keep, usize, &str); 4] = [
         (
             "reading",
             |topic, sequence| topic == Topic::Journal || sequence != 13,

@@ -15,6 +15,7 @@ pub const PERIOD: Duration = Duration::from_millis(10);
 /// Sends everything on; dropped at the end.
 struct Keeper(Sender<Kept>);
 
+#[expect(clippy::large_enum_variant, reason = "few takeovers among many estimates")]
 enum Kept {
     Reading(Arrival, bool, Option<Estimate>),
     Takeover(Takeover),
