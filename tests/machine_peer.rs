@@ -191,7 +191,8 @@ async fn played_machine_is_seen_whole_by_a_third_party() {
     assert_eq!(counts, report.published.into_iter().filter(|(_, count)| *count > 0).collect());
     assert_eq!(journaled, report.readings, "the journal has no gap");
     // The last solutions may have come after the last reading.
-    assert!(takeovers > 50 && takeovers <= report.updates, "{takeovers} takeovers, {report}");
+    let updates = report.updates;
+    assert!(takeovers > 50 && takeovers <= updates, "{takeovers} takeovers, {updates} updates");
     assert!(counts[&Topic::Health] >= 3, "{counts:?}");
     // The readings are those of the log, moved to now.
     let logged: Vec<(Stamp, ImuSample)> = arrivals
