@@ -1,7 +1,7 @@
 //! Outages and the two graphs: who answers when, what a failed trial leaves behind, and how a lidar that was blind
 //! in an outage finds its place again.
 
-use holdfast::estimator::Estimator;
+use holdfast::estimator::{Estimator, split};
 use holdfast::lie::{Se3, So3, Vec3};
 use holdfast::sensors::{Arrival, GnssFix, Reading, Sensor};
 use holdfast::state::{Event, EventKind, Graph};
@@ -106,8 +106,7 @@ fn fixes_that_turn_bad_on_trial_leave_no_trace() {
         reading => (!(is_gnss(&reading) && lost.contains(&second))).then_some(reading),
     });
     let graphs = with.graphs(LOST_S);
-    let expected =
-        [Graph::Fallback, Graph::Trial, Graph::Fallback, Graph::Trial, Graph::Main];
+    let expected = [Graph::Fallback, Graph::Trial, Graph::Fallback, Graph::Trial, Graph::Main];
     assert_eq!(graphs, expected);
     assert!(with.refusals(Sensor::GnssLeft, "from where it is expected") >= 30);
     let without = run(|second, reading| (!(is_gnss(&reading) && lost.contains(&second))).then_some(reading));
@@ -143,5 +142,50 @@ fn lidar_that_was_blind_in_an_outage_finds_its_place_in_its_map() {
     let new_map = run_with(elsewhere, true);
     assert_eq!(new_map.refusals(Sensor::LidarOdometry, "new map"), 1);
     let lost = new_map.worst_m(after.0, after.1);
-    assert!(lost < alone + 0.8, "a new map brings nothing back, and takes nothing: {lost} m, {alone} m before");
+    assert!(
+        lost < alone + 0.8,
+        "a new map brings nothing back, and takes nothing: {lost} m, {alone} m before"
+    );
+}
+
+#[test]
+fn corrected_velocity_reaches_odom_at_a_bounded_rate() {
+    let log = &simulated("navigation")[0];
+    let (mut predictor, mut updater) = split(log.options());
+    let mut newest = None;
+    // Relative speed of odom against the solution's, m/s, at each sample after the correction.
+    let mut differences = Vec::new();
+    let mut corrected = None;
+    for arrival in log.arrivals().iter().take_while(|arrival| arrival.arrival < Stamp::from_seconds(61.0)) {
+        let estimate = predictor.push(arrival);
+        if corrected.is_none()
+            && let Some(solution) = updater.push(arrival)
+        {
+            predictor.adopt(&solution);
+            newest = Some(solution);
+        }
+        let Some(estimate) = estimate else { continue };
+        if let Some(before) =
+            corrected.replace(estimate).filter(|_| arrival.arrival >= Stamp::from_seconds(60.0))
+        {
+            let moved = (before.odom_from_imu.inverse() * estimate.odom_from_imu).translation().norm();
+            let speed = moved / estimate.stamp.seconds_since(before.stamp);
+            differences.push(speed - 0.5 * (before.state.velocity + estimate.state.velocity).norm());
+        } else if arrival.arrival < Stamp::from_seconds(60.0) {
+            corrected = None;
+        } else if let Some(solution) = &newest {
+            let faster = solution.state.velocity.normalize() * 0.2;
+            let mut wrong = (**solution).clone();
+            wrong.state.velocity += faster;
+            predictor.adopt(&wrong);
+        }
+    }
+    // The first one compares with the speed before the correction.
+    differences.remove(0);
+    assert!(differences.len() > 60);
+    assert!((differences[0] + 0.2).abs() < 0.02, "at first odom goes on as it went: {}", differences[0]);
+    let steps = differences.windows(2).map(|pair| (pair[1] - pair[0]).abs());
+    let largest = steps.max_by(f64::total_cmp).expect("steps");
+    assert!(largest < 0.0065, "odom's speed steps by {largest} m/s");
+    assert!(differences[55].abs() < 0.01, "half a second later it follows: {}", differences[55]);
 }
