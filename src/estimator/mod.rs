@@ -16,6 +16,7 @@ mod lidar;
 mod monitor;
 mod options;
 mod predictor;
+mod resumption;
 mod standstill;
 mod ties;
 mod updater;

@@ -12,6 +12,7 @@
 
 use std::collections::VecDeque;
 
+use super::chassis_turn;
 use super::options::Options;
 use crate::frames::{Base, Cabin, Imu, Pose};
 use crate::lie::{Se3, So3, Vec3};
@@ -41,8 +42,6 @@ const CERTAIN_AFTER: Span = Span::from_millis(400);
 const SPEED_MAX: f64 = 0.04;
 /// Between encoder readings further apart, nobody knows the turn, s.
 const READINGS_APART_MAX_S: f64 = 0.25;
-/// Encoder readings are kept so long.
-const TURNS_KEPT: Span = Span::from_millis(6_000);
 /// Between two ties.
 pub(super) const TIE_EVERY: Span = Span::from_millis(1_000);
 /// One sigma of a tie: rad (the encoder's steps and play), m (rocking of the chassis).
@@ -126,8 +125,11 @@ impl Standstill {
     }
 
     pub fn push_turn(&mut self, turn: CabinTurn) {
+        if self.turns.back().is_some_and(|newest| newest.stamp >= turn.stamp) {
+            self.turns.clear();
+        }
         self.turns.push_back(turn);
-        while self.turns.front().is_some_and(|oldest| turn.stamp - oldest.stamp > TURNS_KEPT) {
+        while self.turns.front().is_some_and(|oldest| turn.stamp - oldest.stamp > chassis_turn::KEPT) {
             self.turns.pop_front();
         }
     }

@@ -6,6 +6,8 @@ mod bad_input;
 #[path = "../support/command.rs"]
 mod command;
 mod degenerate;
+mod degraded;
 mod fixtures;
+mod imu_gap;
 mod outages;
 mod start;
