@@ -174,6 +174,7 @@ fn antenna_path(
         gyroscope_random_walk: 0.0,
         accelerometer_random_walk: 0.0,
         base_gyroscope_random_walk: 0.0,
+        missed_part: [0.0; 2],
         gap_s: f64::INFINITY,
     };
     let mut motion = Preintegration::new(guess.gyro_bias, guess.accel_bias);
