@@ -11,6 +11,7 @@ mod chassis_turn;
 mod gate;
 mod graphs;
 mod inbox;
+mod inflation;
 mod initialization;
 mod lidar;
 mod monitor;

@@ -188,7 +188,7 @@ impl Monitor {
         &self,
         now: Stamp,
         waits_for: Option<String>,
-        gnss: GnssState,
+        (gnss, gnss_inflation): (GnssState, [f64; 2]),
         sensors: Vec<SensorHealth>,
     ) -> Health {
         let worst = self.worst_test.filter(|(stamp, _, _)| now - *stamp < TEST_WINDOW);
@@ -199,6 +199,7 @@ impl Monitor {
             mode: self.mode,
             waits_for,
             gnss,
+            gnss_inflation,
             position_sigma_m: self
                 .newest
                 .as_ref()

@@ -551,9 +551,12 @@ impl Updater {
                     Some(stamp) if self.now - stamp < Span::from_millis(1_500) => GnssState::Recovering,
                     _ => GnssState::Silent,
                 };
-                (Some(initializer.waits_for().to_owned()), gnss)
+                (Some(initializer.waits_for().to_owned()), (gnss, [1.0; 2]))
             }
-            Phase::Running(running) => (None, running.gate.state()),
+            Phase::Running(running) => {
+                let inflation = running.gate.inflation();
+                (None, (running.gate.state(), [inflation.x, inflation.z]))
+            }
         };
         self.monitor.health(self.now, waits_for, gnss, self.inbox.health(self.now))
     }

@@ -10,4 +10,5 @@ mod degraded;
 mod fixtures;
 mod imu_gap;
 mod outages;
+mod receiver;
 mod start;
