@@ -106,8 +106,7 @@ fn fixes_that_turn_bad_on_trial_leave_no_trace() {
         reading => (!(is_gnss(&reading) && lost.contains(&second))).then_some(reading),
     });
     let graphs = with.graphs(LOST_S);
-    let expected =
-        [Graph::Fallback, Graph::Trial, Graph::Fallback, Graph::Trial, Graph::Main];
+    let expected = [Graph::Fallback, Graph::Trial, Graph::Fallback, Graph::Trial, Graph::Main];
     assert_eq!(graphs, expected);
     assert!(with.refusals(Sensor::GnssLeft, "from where it is expected") >= 30);
     let without = run(|second, reading| (!(is_gnss(&reading) && lost.contains(&second))).then_some(reading));
@@ -143,5 +142,8 @@ fn lidar_that_was_blind_in_an_outage_finds_its_place_in_its_map() {
     let new_map = run_with(elsewhere, true);
     assert_eq!(new_map.refusals(Sensor::LidarOdometry, "new map"), 1);
     let lost = new_map.worst_m(after.0, after.1);
-    assert!(lost < alone + 0.8, "a new map brings nothing back, and takes nothing: {lost} m, {alone} m before");
+    assert!(
+        lost < alone + 0.8,
+        "a new map brings nothing back, and takes nothing: {lost} m, {alone} m before"
+    );
 }
