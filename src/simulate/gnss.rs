@@ -27,6 +27,8 @@ pub(super) struct Interval {
     pub start: Stamp,
     pub end: Stamp,
     pub kind: GnssConditionKind,
+    /// How far off confident and wrong fixes are, least and most, m.
+    pub offset_m: Option<[f64; 2]>,
 }
 
 /// The times in which GNSS is not good; they may come again.
@@ -183,13 +185,14 @@ impl AntennaSource {
         mut offsets: Dice,
         [mut dice, mut slow_dice]: [Dice; 2],
     ) -> Self {
-        let mut offset = || {
+        let mut offset = |interval: &Interval| {
+            let [least_m, most_m] = interval.offset_m.unwrap_or(CONFIDENT_OFFSET_M);
             let heading = offsets.uniform(0.0, std::f64::consts::TAU);
-            let size_m = offsets.uniform(CONFIDENT_OFFSET_M[0], CONFIDENT_OFFSET_M[1]);
+            let size_m = offsets.uniform(least_m, most_m);
             let up = offsets.uniform(-0.5, 0.5);
             Vec3::new(libm::cos(heading), libm::sin(heading), up).normalize() * size_m
         };
-        let offsets = receiver.sky.intervals.iter().map(|_| offset()).collect();
+        let offsets = receiver.sky.intervals.iter().map(&mut offset).collect();
         let wander = dice.normals();
         Self {
             side,

@@ -220,6 +220,7 @@ fn sky(scenario: &Scenario, id: &str, period: Option<Span>) -> Sky {
             start: Stamp::from_seconds(condition.start_s),
             end: Stamp::from_seconds(condition.end_s),
             kind: condition.kind,
+            offset_m: condition.offset_m,
         })
         .collect();
     Sky { intervals, period }
