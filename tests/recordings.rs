@@ -10,10 +10,13 @@ mod required;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use holdfast::config::{self, Machine};
+use holdfast::estimator::Estimator;
 use holdfast::evaluate::{Errors, Options, compare};
 use holdfast::import::{StampedPose, read_log_folder, read_tum};
-use holdfast::sensors::{Reading, Sensor};
-use holdfast::time::Stamp;
+use holdfast::sensors::{Arrival, Reading, Sensor};
+use holdfast::state::Mode;
+use holdfast::time::{Span, Stamp};
 use serde_json::Value;
 
 use command::{empty_folder, estimate, repository};
@@ -84,10 +87,41 @@ fn car_with_one_antenna_is_followed_to_centimetres() {
     assert!(all.position_m.rmse <= 0.04 && all.position_m.max <= 0.5, "{all:?}");
     let errors = errors(&truth, &settled);
     tell("rtk_drive0708, from 30 s of motion on", &errors);
+    let to_fixes_m = rmse_to_fixes(&log, &settled);
+    println!("rtk_drive0708, from 30 s of motion on: RMSE to the fixes {:.2} cm", 100.0 * to_fixes_m);
+    assert!(to_fixes_m <= 0.02, "{to_fixes_m}");
     assert!(began_s < 5.0, "{began_s}");
     assert!(errors.position_m.rmse <= 0.03, "{errors:?}");
     assert!(errors.position_m.max <= 0.5, "{errors:?}");
     assert!(errors.heading_deg.rmse <= 1.5, "{errors:?}");
+}
+
+/// Sigmas that are larger come without fixed ambiguities, m.
+const FIXED_SIGMA_M: f64 = 0.05;
+
+/// How far the antenna is from its fixes, as the estimate had it live, before the fix was known: m.
+fn rmse_to_fixes(log: &Path, world: &[StampedPose]) -> f64 {
+    let machine: Machine =
+        config::load(&repository("config/machines/rtk-drive.toml")).expect("the machine file");
+    let options = machine.estimator_options();
+    let arrivals = read_log_folder(log).expect("log").arrivals;
+    let fixes = arrivals.iter().filter_map(|arrival| match &arrival.reading {
+        Reading::GnssLeft(fix) if fix.sigma_enu_m.amax() <= FIXED_SIGMA_M => Some(fix),
+        _ => None,
+    });
+    let squared: Vec<f64> = fixes
+        .filter_map(|fix| {
+            let after = world.partition_point(|pose| pose.stamp < fix.stamp);
+            let (before, after) = (world.get(after.checked_sub(1)?)?, world.get(after)?);
+            let part = fix.stamp.seconds_since(before.stamp) / after.stamp.seconds_since(before.stamp);
+            let antenna =
+                |pose: &StampedPose| pose.pose.translation + pose.pose.rotation * options.antenna_left;
+            let expected = antenna(before).lerp(&antenna(after), part);
+            Some((options.site.to_enu(fix.position) - expected).norm_squared())
+        })
+        .collect();
+    assert!(squared.len() > 1_000, "{}", squared.len());
+    (squared.iter().sum::<f64>() / squared.len() as f64).sqrt()
 }
 
 /// The recording has no truth of its own; its GNSS is made from its lidar odometry, so that the fixes less their
@@ -116,4 +150,52 @@ fn tilted_handheld_lidar_is_followed_through_all_rotations() {
     let summary = fs::read_to_string(out.join("summary.json")).expect("summary");
     let summary: Value = serde_json::from_str(&summary).expect("JSON");
     assert_eq!(summary["unfit_readings"], 0);
+}
+
+/// Fixes are withheld for so long, s.
+const WITHHELD_S: f64 = 10.0;
+/// At ten places, 45 s apart, three times over: the second and third ten begin 15 s and 30 s later than the first.
+const PLACES: usize = 10;
+const FIRST_PLACE_S: [f64; 3] = [90.0, 105.0, 120.0];
+const PLACES_APART_S: f64 = 45.0;
+
+/// How far off the IMU alone is at the end of a stretch without fixes that begins at `begin`, m.
+fn withheld(machine: &Machine, arrivals: &[Arrival], truth: &[StampedPose], begin: Stamp) -> f64 {
+    let end = begin + Span::from_seconds(WITHHELD_S);
+    let mut estimator = Estimator::new(machine.estimator_options());
+    let mut last = None;
+    for arrival in arrivals.iter().take_while(|arrival| arrival.reading.stamp() <= end) {
+        if arrival.reading.sensor() == Sensor::Imu || arrival.reading.stamp() < begin {
+            last = estimator.push(arrival).or(last);
+        }
+    }
+    let last = last.expect("an estimate");
+    assert_eq!(last.mode, Mode::ImuOnly);
+    let pose = StampedPose { stamp: last.stamp, pose: *last.state.world_from_imu().motion() };
+    errors(truth, &[pose]).position_m.max
+}
+
+/// What the same recording costs others: a batch smoother over the 100 s before, then the IMU alone, ends 3.1 m off.
+#[test]
+fn car_without_fixes_for_ten_seconds_is_followed_by_its_imu_alone() {
+    let Some(log) = recording("rtk_drive0708") else { return };
+    let machine: Machine =
+        config::load(&repository("config/machines/rtk-drive.toml")).expect("the machine file");
+    let arrivals = read_log_folder(&log).expect("log").arrivals;
+    let truth = read_tum(&log.join("truth_imu.tum")).expect("truth");
+    for first_s in FIRST_PLACE_S {
+        let mut off_m: Vec<f64> = (0..PLACES)
+            .map(|place| {
+                let begin_s = first_s + PLACES_APART_S * place as f64;
+                let begin = arrivals[0].reading.stamp() + Span::from_seconds(begin_s);
+                withheld(&machine, &arrivals, &truth, begin)
+            })
+            .collect();
+        off_m.sort_by(f64::total_cmp);
+        let median_m = 0.5 * (off_m[PLACES / 2 - 1] + off_m[PLACES / 2]);
+        println!(
+            "rtk_drive0708, IMU alone for {WITHHELD_S} s at ten places from {first_s} s on: median {median_m:.2} m off, all {off_m:.2?}"
+        );
+        assert!(median_m <= 2.5, "{off_m:?}");
+    }
 }

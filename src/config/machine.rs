@@ -116,6 +116,11 @@ pub struct Imu {
     pub gyroscope_noise_density: f64,
     /// rad/s²/√Hz.
     pub gyroscope_random_walk: f64,
+    /// Where vibration is faster than the samples: how far the mean over a sampling period may be off, as a part of how
+    /// much the reading changes from one sample to the next.
+    pub gyroscope_missed_part: f64,
+    /// The same for the accelerometer.
+    pub accelerometer_missed_part: f64,
 }
 
 /// Noise of the chassis IMU.
@@ -227,6 +232,8 @@ impl Default for Imu {
             accelerometer_random_walk: 6.0e-5,
             gyroscope_noise_density: 1.6e-4,
             gyroscope_random_walk: 8.0e-6,
+            gyroscope_missed_part: 0.0,
+            accelerometer_missed_part: 0.0,
         }
     }
 }
@@ -346,6 +353,7 @@ impl Machine {
             gyroscope_random_walk: self.imu.gyroscope_random_walk,
             accelerometer_random_walk: self.imu.accelerometer_random_walk,
             base_gyroscope_random_walk: self.base_imu.gyroscope_random_walk,
+            missed_part: [self.imu.gyroscope_missed_part, self.imu.accelerometer_missed_part],
             gap_s: GAP_PERIODS / self.imu.update_rate,
         };
         let lag = Span::from_seconds(self.smoother.lag_s);
@@ -409,6 +417,8 @@ impl Checked for Machine {
         positive("imu.accelerometer_random_walk", self.imu.accelerometer_random_walk)?;
         positive("imu.gyroscope_noise_density", self.imu.gyroscope_noise_density)?;
         positive("imu.gyroscope_random_walk", self.imu.gyroscope_random_walk)?;
+        within("imu.gyroscope_missed_part", self.imu.gyroscope_missed_part, 0.0, 1.0)?;
+        within("imu.accelerometer_missed_part", self.imu.accelerometer_missed_part, 0.0, 1.0)?;
         positive("base_imu.gyroscope_noise_density", self.base_imu.gyroscope_noise_density)?;
         positive("base_imu.gyroscope_random_walk", self.base_imu.gyroscope_random_walk)?;
         positive("lidar_odometry.increment_sigma_m", self.lidar_odometry.increment_sigma_m)?;

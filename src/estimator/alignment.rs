@@ -138,12 +138,18 @@ pub(super) fn align(
 
 /// Attitude at `start` with heading zero, from the mean specific force until `end`: good to the machine's own
 /// mean acceleration, which the alignment then finds.
-pub(super) fn level_from_mean_force(samples: &SampleBuffer, start: Stamp, end: Stamp) -> Option<So3> {
+pub(super) fn level_from_mean_force(
+    samples: &SampleBuffer,
+    start: Stamp,
+    end: Stamp,
+    gyro_bias: &Vec3,
+    accel_bias: &Vec3,
+) -> Option<So3> {
     let mut rotation = So3::identity();
     let mut sum = Vec3::zeros();
     for step in samples.steps(start, end)? {
-        sum += rotation * step.specific_force * step.span_s;
-        rotation = rotation.plus(&(step.angular_rate * step.span_s));
+        sum += rotation * (step.specific_force - accel_bias) * step.span_s;
+        rotation = rotation.plus(&((step.angular_rate - gyro_bias) * step.span_s));
     }
     (sum.norm() > 1.0e-3).then(|| without_heading(&So3::between(&sum.normalize(), &Vec3::z())))
 }
@@ -168,6 +174,7 @@ fn antenna_path(
         gyroscope_random_walk: 0.0,
         accelerometer_random_walk: 0.0,
         base_gyroscope_random_walk: 0.0,
+        missed_part: [0.0; 2],
         gap_s: f64::INFINITY,
     };
     let mut motion = Preintegration::new(guess.gyro_bias, guess.accel_bias);
@@ -190,7 +197,7 @@ fn antenna_path(
 }
 
 /// Least-squares line through (x, y): value at zero and slope.
-fn fit_line(points: impl Iterator<Item = (f64, f64)>) -> Option<(f64, f64)> {
+pub(super) fn fit_line(points: impl Iterator<Item = (f64, f64)>) -> Option<(f64, f64)> {
     let (mut n, mut sx, mut sy, mut sxx, mut sxy) = (0.0, 0.0, 0.0, 0.0, 0.0);
     for (x, y) in points {
         n += 1.0;

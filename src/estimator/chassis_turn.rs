@@ -10,8 +10,8 @@ use crate::time::{Span, Stamp};
 
 /// Between samples further apart, nobody knows how the chassis turned.
 const GAP_MAX: Span = Span::from_millis(100);
-/// Samples are kept so long: the window and what is late.
-const KEPT: Span = Span::from_millis(6_000);
+/// Samples are kept so long: the window, what is late, and a silence of the cabin's IMU.
+pub(super) const KEPT: Span = Span::from_millis(15_000);
 /// A cabin that turned less is held by its brake, rad: a step and a half of a usual encoder.
 const HELD_MAX: f64 = 1.2e-3;
 /// What the encoder adds to one link, one sigma, rad: with the cabin held, and with steps and play at both ends.
@@ -29,7 +29,9 @@ pub(super) struct ChassisTurn {
 impl ChassisTurn {
     /// Takes a sample of the chassis IMU, its angular rate in the chassis' frame.
     pub fn push_sample(&mut self, sample: ImuSample) {
-        if self.samples.newest().is_some_and(|newest| sample.stamp - newest.stamp > GAP_MAX) {
+        let goes_on =
+            |newest: &ImuSample| newest.stamp < sample.stamp && sample.stamp - newest.stamp <= GAP_MAX;
+        if !self.samples.newest().is_none_or(goes_on) {
             self.samples.clear();
             self.tied = None;
         }

@@ -12,6 +12,7 @@
 //! it back. Fixes that agree with each other but not with the estimate are multipath, which lasts seconds; if
 //! they go on for longer than that, the estimate was wrong, and they are believed.
 
+use super::inflation::Inflation;
 use crate::lie::{Mat3, Vec3};
 use crate::state::GnssState;
 use crate::time::{Span, Stamp};
@@ -30,6 +31,10 @@ const NEAR_LIMIT: f64 = 30.0;
 const CONTRADICTION_MAX: Span = Span::from_millis(8_000);
 /// Error of a fix with fixed ambiguities that is new in each fix, at most, m.
 const WHITE_SIGMA_M: f64 = 0.02;
+/// A sigma up to so many times the receiver's usual one is usual too.
+const USUAL_SIGMA: f64 = 1.3;
+/// The usual sigma rises to a larger one in about so long, s; it falls at once.
+const USUAL_RISES_S: f64 = 60.0;
 /// Slow errors of fixes stay alike for about so long, s.
 const CORRELATION_S: f64 = 3.0;
 /// So many good fixes in a row are worth telling.
@@ -105,6 +110,9 @@ pub(super) struct Gate {
     last_used: Option<Stamp>,
     last_heard: Option<Stamp>,
     period_s: f64,
+    inflation: Inflation,
+    /// What the receiver reports of its good fixes, m.
+    usual_sigma: Option<Vec3>,
     previous: Option<Candidate>,
     /// Where the estimate was when the position began to be the same to the bit.
     same_since: Option<(Vec3, Vec3)>,
@@ -122,6 +130,8 @@ impl Gate {
             last_used: None,
             last_heard: None,
             period_s: 0.05,
+            inflation: Inflation::default(),
+            usual_sigma: None,
             previous: None,
             same_since: None,
         }
@@ -143,20 +153,33 @@ impl Gate {
         self.trusted
     }
 
-    /// Sigma of one fix by itself: the reported one, not under the floor.
-    fn single_sigma(&self, reported: &Vec3) -> Vec3 {
+    /// The reported sigma, not under the floor.
+    fn floored(&self, reported: &Vec3) -> Vec3 {
         reported.map(|sigma| sigma.max(self.options.sigma_floor_m))
     }
 
-    /// Sigma to use for a fix among its neighbours. With fixed ambiguities the error is close to white. What the
-    /// receiver reports beyond that comes from multipath and float ambiguities, which change slowly: n fixes
-    /// in one correlation time say no more than one, so that part of the variance is n times as large.
+    /// Sigma of one fix by itself: as much larger than reported as innovations have shown.
+    fn single_sigma(&self, reported: &Vec3) -> Vec3 {
+        self.floored(reported).component_mul(&self.inflation.factors())
+    }
+
+    /// What reported sigmas are multiplied by now: east, north, up.
+    pub fn inflation(&self) -> Vec3 {
+        self.inflation.factors()
+    }
+
+    /// Sigma to use for a fix among its neighbours. With fixed ambiguities the error is close to white, and as large
+    /// as usual. What the receiver reports beyond that comes from multipath and float ambiguities, which change
+    /// slowly: n fixes in one correlation time say no more than one, so that part of the variance is n times as large.
     pub fn usable_sigma(&self, reported: &Vec3) -> Vec3 {
         let alike = 1.0 + 2.0 * CORRELATION_S / self.period_s.max(1.0e-3);
-        self.single_sigma(reported).map(|sigma| {
-            let white = sigma.min(WHITE_SIGMA_M);
+        let reported = self.floored(reported);
+        let usual = self.usual_sigma.unwrap_or(reported);
+        let usable = reported.zip_map(&usual, |sigma, usual| {
+            let white = sigma.min(WHITE_SIGMA_M.min(USUAL_SIGMA * usual));
             (white * white + (sigma * sigma - white * white) * alike).sqrt()
-        })
+        });
+        usable.component_mul(&self.inflation.factors())
     }
 
     /// Why the reported sigmas are too large, if they are.
@@ -204,6 +227,13 @@ impl Gate {
         let used = cause.is_none() && self.trusted;
         if used {
             self.last_used = Some(candidate.stamp);
+            let innovation = candidate.position - candidate.expected;
+            let expected_variance = candidate.expected_covariance.diagonal();
+            let sigma = self.floored(&candidate.sigma);
+            let rise = self.period_s / USUAL_RISES_S;
+            let follow = |usual: f64, sigma: f64| sigma.min(usual + (sigma - usual) * rise);
+            self.usual_sigma = Some(self.usual_sigma.map_or(sigma, |usual| usual.zip_map(&sigma, follow)));
+            self.inflation.note(candidate.stamp, &innovation, &expected_variance, &sigma);
         }
         let on_trial = cause.is_none() && !self.trusted && agrees && self.good_in_row >= GOOD_TO_TELL;
         Judgement { used, refusal, test_ratio, agrees, on_trial, turn }

@@ -8,6 +8,7 @@ use std::collections::VecDeque;
 
 use super::alignment::{Aligned, Anchor, Guess, align, level_from_mean_force, without_heading};
 use super::options::Options;
+use super::resumption::{Chassis, Known, Resumed, bridge_by_chassis, bridge_by_lidar, find_by_two_antennas};
 use crate::lie::{Mat3, So3, Vec3, hat};
 use crate::preintegration::SampleBuffer;
 use crate::sensors::{GnssFix, ImuSample, LidarPose, Reading};
@@ -20,8 +21,14 @@ const START_DELAY: Span = Span::from_millis(200);
 const TRACK: Span = Span::from_millis(8_000);
 /// Without a standstill the alignment waits for so much of it.
 const TRACK_MIN: Span = Span::from_millis(4_000);
+/// The same where the biases are known.
+const TRACK_MIN_KNOWN: Span = Span::from_millis(1_000);
+/// The heading need only be known so many times worse then: it is in use at once, and grows better.
+const HEADING_EASE_KNOWN: f64 = 3.0;
 /// A standstill is looked for at every so many samples.
 const LOOK_EVERY: u64 = 20;
+/// A way to go on from what was known is looked for at every so many samples.
+const LOOK_TO_RESUME_EVERY: u64 = 5;
 /// The window is cut into so many blocks, whose means must agree.
 const BLOCKS: usize = 10;
 /// Mean angular rate of a machine at rest: at most its bias, rad/s.
@@ -46,6 +53,8 @@ pub(super) struct Start {
     pub heading_from: &'static str,
     /// rad.
     pub heading_sigma: f64,
+    /// Whether the start rests on fixes, or agrees with them.
+    pub fixes_agree: bool,
     /// IMU samples that reach over the start.
     pub samples: Vec<ImuSample>,
     /// Readings from the start on, by stamp.
@@ -89,13 +98,17 @@ pub(super) struct Initializer {
     rest: Option<Rest>,
     /// Whether the newest look found a standstill.
     at_rest: bool,
+    /// Before the IMU fell silent.
+    known: Option<Known>,
     waits_for: String,
 }
 
 impl Initializer {
-    pub fn new(options: Options) -> Self {
+    /// `known` is what the estimate knew before, if it ran.
+    pub fn new(options: Options, known: Option<Known>) -> Self {
         Self {
             options,
+            known,
             samples: SampleBuffer::default(),
             pushed: 0,
             left: VecDeque::new(),
@@ -113,13 +126,31 @@ impl Initializer {
         &self.waits_for
     }
 
+    /// What was known before, for another start anew.
+    pub fn take_known(&mut self) -> Option<Known> {
+        self.known.take()
+    }
+
+    /// Lidar odometry has begun anew: it bridges nothing.
+    pub fn note_lidar_restart(&mut self) {
+        self.lidar.clear();
+        if let Some(known) = &mut self.known {
+            known.lidar = None;
+        }
+    }
+
     /// Takes a reading that was admitted; returns the start as soon as there is one.
-    pub fn push(&mut self, reading: &Reading) -> Option<Start> {
+    pub fn push(&mut self, reading: &Reading, chassis: &Chassis) -> Option<Start> {
         match reading {
             Reading::Imu(sample) => {
                 self.samples.push(*sample);
                 self.pushed += 1;
                 self.forget();
+                if self.pushed.is_multiple_of(LOOK_TO_RESUME_EVERY)
+                    && let Some(start) = self.resume(chassis)
+                {
+                    return Some(start);
+                }
                 if !self.pushed.is_multiple_of(LOOK_EVERY) {
                     return None;
                 }
@@ -230,6 +261,25 @@ impl Initializer {
             let moved = self.options.site.to_enu(fix.position) - origin;
             moved.norm() < 0.03 + 6.0 * fix.sigma_enu_m.norm()
         })
+    }
+
+    /// Goes on from what was known before the IMU fell silent, where lidar, two antennas or the chassis tell the
+    /// attitude.
+    fn resume(&self, chassis: &Chassis) -> Option<Start> {
+        let known = self.known.as_ref()?;
+        let bridged = bridge_by_lidar(known, &self.samples, &self.lidar, self.usable_left(), &self.options);
+        // Bridged against usable fixes: either is wrong, and the fixes alone must do.
+        let contradicted = self.usable_left().next().is_some();
+        let resumed = bridged.filter(|bridged| bridged.fixes_agree || !contradicted).or_else(|| {
+            let left: Vec<GnssFix> = self.usable_left().copied().collect();
+            let right: Vec<GnssFix> = self.right.iter().filter(|fix| self.is_usable(fix)).copied().collect();
+            let options = &self.options;
+            find_by_two_antennas(known, &self.samples, &left, &right, options)
+                .or_else(|| bridge_by_chassis(known, &self.samples, &left, chassis, options))
+        })?;
+        let Resumed { stamp, state, information, heading_from, heading_sigma, fixes_agree } = resumed;
+        let start = self.start(stamp, state, information, heading_from, heading_sigma);
+        Some(Start { fixes_agree, ..start })
     }
 
     fn try_start(&mut self) -> Option<Start> {
@@ -390,14 +440,16 @@ impl Initializer {
         let gravity = &self.options.smoother.gravity;
         let Aligned { stamp, state, heading_sigma } =
             align(&self.samples, &fixes, &self.options.antenna_left, &guess, gravity)?;
-        if heading_sigma > self.options.initialization.heading_sigma {
+        let ease = if self.known.is_some() { HEADING_EASE_KNOWN } else { 1.0 };
+        if heading_sigma > ease * self.options.initialization.heading_sigma {
             return None;
         }
         // The readings since are used again by the smoother, so what they said here counts little.
         let heading_prior = (3.0 * heading_sigma).max(0.05);
-        let gyro_bias_sigma = match &self.level {
-            Some(level) => level.gyro_bias_sigma.max(5.0e-4),
-            None => self.options.initialization.gyro_bias_sigma,
+        let gyro_bias_sigma = match (&self.level, &self.known) {
+            (Some(level), _) => level.gyro_bias_sigma.max(5.0e-4),
+            (None, Some(known)) => known.gyro_bias_sigma(stamp, &self.options),
+            (None, None) => self.options.initialization.gyro_bias_sigma,
         };
         let tilt_sigma = if self.level.is_some() { 0.03 } else { 0.1 };
         let rotation_sigma = Vec3::new(tilt_sigma, tilt_sigma, heading_prior);
@@ -408,15 +460,19 @@ impl Initializer {
     fn guess(&self, first: Stamp, last: Stamp) -> Option<Guess> {
         let init = &self.options.initialization;
         let Some(level) = &self.level else {
-            if last - first < TRACK_MIN {
+            let known = self.known.as_ref();
+            if last - first < known.map_or(TRACK_MIN, |_| TRACK_MIN_KNOWN) {
                 return None;
             }
+            let [gyro_bias, accel_bias] =
+                known.map_or([Vec3::zeros(); 2], |known| [known.state.gyro_bias, known.state.accel_bias]);
             return Some(Guess {
-                rotation: level_from_mean_force(&self.samples, first, last)?,
-                gyro_bias: Vec3::zeros(),
-                accel_bias: Vec3::zeros(),
+                rotation: level_from_mean_force(&self.samples, first, last, &gyro_bias, &accel_bias)?,
+                gyro_bias,
+                accel_bias,
                 acceleration_sigma: 1.0,
-                gyro_bias_sigma: init.gyro_bias_sigma,
+                gyro_bias_sigma: known
+                    .map_or(init.gyro_bias_sigma, |known| known.gyro_bias_sigma(first, &self.options)),
             });
         };
         let turned = |from: Stamp, to: Stamp| -> Option<So3> {
@@ -454,6 +510,6 @@ impl Initializer {
         readings.retain(|reading| reading.stamp() >= stamp);
         readings.sort_by_key(|reading| (reading.stamp(), reading.sensor()));
         let samples = self.samples.iter().copied().collect();
-        Start { stamp, state, information, heading_from, heading_sigma, samples, readings }
+        Start { stamp, state, information, heading_from, heading_sigma, fixes_agree: true, samples, readings }
     }
 }

@@ -25,8 +25,14 @@ use crate::smoother::{Smoother, SmootherError};
 use crate::state::{NavState, StateMatrix, row};
 use crate::time::{Span, Stamp};
 
-/// A lidar increment that differs so much from the prediction is wrong: m, rad.
-const MISFIT_MAX: [f64; 2] = [0.5, 0.2];
+/// A lidar increment that differs so much from the prediction is wrong: rad, m.
+const MISFIT_MAX: [f64; 2] = [0.2, 0.5];
+/// Where the estimate is surer than that, so little beside this many sigmas: an odometry that begins anew near its
+/// old origin jumps by little, and would be taken for motion.
+const MISFIT_MIN: [f64; 2] = [0.03, 0.08];
+const MISFIT_SIGMAS: f64 = 8.0;
+/// So many refusals in a row, and the estimate may be the one that is wrong: back to the wider limit.
+const REFUSALS_MAX: u32 = 2;
 /// Squared misfit over its variance of a pose after a gap, summed over heading and position (4 degrees of
 /// freedom): beyond it, the lidar has begun a new map.
 const RETURN_LIMIT: f64 = 30.0;
@@ -51,6 +57,8 @@ pub(super) struct LidarTrack {
     anchor: Option<Anchor>,
     /// Between two poses, s.
     period_s: f64,
+    /// In a row.
+    refusals: u32,
 }
 
 /// What became of a pose.
@@ -68,6 +76,11 @@ impl LidarTrack {
     /// The estimate was seated anew: what the lidar said before has no place in it.
     pub fn forget(&mut self) {
         *self = Self { period_s: self.period_s, ..Self::default() };
+    }
+
+    /// The newest pose.
+    pub fn newest(&self) -> Option<LidarPose> {
+        self.last
     }
 
     /// Puts a pose into both graphs.
@@ -90,10 +103,11 @@ impl LidarTrack {
             self.take_pseudo_global(graphs, options, &last, pose)?
         } else if graphs.active().oldest_stamp().is_some_and(|oldest| last.stamp >= oldest) {
             let missed = self.increments(gap);
-            let taken = tie(graphs.active_mut(), options, &last, pose, missed)?;
+            let limit = misfit_limit(graphs.active(), options, gap.as_seconds(), self.refusals);
+            let taken = tie(graphs.active_mut(), options, &last, pose, missed, limit)?;
             if let (Taken::Used, Some(main)) = (&taken, graphs.passive_mut()) {
                 // Main is made anew from fallback or from fixes, should it not fit.
-                let _ = tie(main, options, &last, pose, missed);
+                let _ = tie(main, options, &last, pose, missed, MISFIT_MAX);
             }
             taken
         } else if lost {
@@ -106,6 +120,7 @@ impl LidarTrack {
             self.period_s += 0.1 * (gap.as_seconds() - self.period_s);
         }
         self.last = Some(*pose);
+        self.refusals = if matches!(taken, Taken::Refused(_)) { self.refusals + 1 } else { 0 };
         if taken != Taken::Used {
             self.anchor = None;
         }
@@ -144,7 +159,7 @@ impl LidarTrack {
     ) -> Result<Taken, SmootherError> {
         if let Some(main) = graphs.passive_mut() {
             // As above: main does without what it cannot take.
-            let _ = tie(main, options, last, pose, 1.0);
+            let _ = tie(main, options, last, pose, 1.0, MISFIT_MAX);
         }
         let Some(anchor) = &self.anchor else { return Ok(Taken::First) };
         let [turn, shift] = options.lidar_sigma;
@@ -233,13 +248,28 @@ fn variance(state: &NavState, covariance: &StateMatrix) -> [f64; 4] {
     })
 }
 
-/// Ties the nodes of two poses that lie so many increments apart.
+/// How far an increment over so long may be from the prediction, after so many refusals in a row: rad, m.
+fn misfit_limit(smoother: &Smoother, options: &Options, span_s: f64, refusals: u32) -> [f64; 2] {
+    if refusals >= REFUSALS_MAX {
+        return MISFIT_MAX;
+    }
+    let covariance = smoother.newest_covariance();
+    let limit = |part: usize, rate_row: usize| -> f64 {
+        let rate_variance = (rate_row..rate_row + 3).map(|axis| covariance[(axis, axis)]).fold(0.0, f64::max);
+        let sigma = libm::hypot(options.lidar_sigma[part], rate_variance.sqrt() * span_s);
+        (MISFIT_MIN[part] + MISFIT_SIGMAS * sigma).min(MISFIT_MAX[part])
+    };
+    [limit(0, row::GYRO_BIAS), limit(1, row::VELOCITY)]
+}
+
+/// Ties the nodes of two poses that lie so many increments apart, if they fit the prediction: rad, m.
 fn tie(
     smoother: &mut Smoother,
     options: &Options,
     from: &LidarPose,
     to: &LidarPose,
     increments: f64,
+    limit: [f64; 2],
 ) -> Result<Taken, SmootherError> {
     let earlier = smoother.node_at(from.stamp)?;
     let later = smoother.node_at(to.stamp)?;
@@ -256,7 +286,7 @@ fn tie(
     let seen = from.lidarmap_from_lidar.inverse() * to.lidarmap_from_lidar;
     let misfit = (at_from.inverse() * at_to).inverse() * seen;
     let (shift_m, turn) = (misfit.translation().norm(), misfit.rotation().log().norm());
-    if shift_m > MISFIT_MAX[0] || turn > MISFIT_MAX[1] {
+    if turn > limit[0] || shift_m > limit[1] {
         return Ok(Taken::Refused(format!(
             "its increment is {shift_m:.2} m and {:.1}° from the predicted one",
             turn.to_degrees()

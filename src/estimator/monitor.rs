@@ -155,7 +155,11 @@ impl Monitor {
         self.note_mode(stamp, mode);
     }
 
+    /// One that goes on already stays as it is.
     pub fn begin_outage(&mut self, stamp: Stamp, since: Stamp, cause: GnssState) {
+        if self.outage.as_ref().is_some_and(|outage| outage.end_stamp_ns.is_none()) {
+            return;
+        }
         self.outage = Some(OutageReport {
             start_stamp_ns: since.as_nanos(),
             end_stamp_ns: None,
@@ -167,7 +171,9 @@ impl Monitor {
     }
 
     pub fn end_outage(&mut self, stamp: Stamp, jump_m: Option<f64>) {
-        let Some(outage) = &mut self.outage else { return };
+        let Some(outage) = self.outage.as_mut().filter(|outage| outage.end_stamp_ns.is_none()) else {
+            return;
+        };
         outage.end_stamp_ns = Some(stamp.as_nanos());
         outage.jump_m = jump_m;
         let report = outage.clone();
@@ -182,7 +188,7 @@ impl Monitor {
         &self,
         now: Stamp,
         waits_for: Option<String>,
-        gnss: GnssState,
+        (gnss, gnss_inflation): (GnssState, [f64; 2]),
         sensors: Vec<SensorHealth>,
     ) -> Health {
         let worst = self.worst_test.filter(|(stamp, _, _)| now - *stamp < TEST_WINDOW);
@@ -193,6 +199,7 @@ impl Monitor {
             mode: self.mode,
             waits_for,
             gnss,
+            gnss_inflation,
             position_sigma_m: self
                 .newest
                 .as_ref()

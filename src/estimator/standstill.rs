@@ -12,6 +12,7 @@
 
 use std::collections::VecDeque;
 
+use super::chassis_turn;
 use super::options::Options;
 use crate::frames::{Base, Cabin, Imu, Pose};
 use crate::lie::{Se3, So3, Vec3};
@@ -28,8 +29,16 @@ const LOOK_EVERY: u64 = 10;
 const RATE_MAX: f64 = 0.015;
 /// Means of the blocks differ by so little at rest: rad/s, m/s².
 const WOBBLE: [f64; 2] = [0.003, 0.08];
-/// The accelerometer's mean at rest is taken over so long, before anything is believed.
+/// A chassis whose gyroscope at rest is known turns if it reads so much else: rad/s. That is how legs that level it
+/// show, which start more gently than an accelerometer tells.
+const TURNING_MIN: f64 = 0.0015;
+/// What it reads at rest is followed over so long, s, and forgotten after so long.
+const REST_FOLLOWS_S: f64 = 5.0;
+const REST_FORGOTTEN: Span = Span::from_millis(600_000);
+/// The accelerometer's mean at rest is taken over so long, before it is integrated against.
 const REFERENCE_S: f64 = 1.0;
+/// After so long of it a stop is believed.
+const BELIEVED_S: f64 = 0.4;
 /// Speed against that mean at which the chassis moves, m/s: above the engine's 0.5 m/s² at 25 Hz, integrated.
 const SPEED_GAINED_MAX: f64 = 0.02;
 /// The integral forgets, and the mean follows the truth, with these time constants, s.
@@ -41,10 +50,10 @@ const CERTAIN_AFTER: Span = Span::from_millis(400);
 const SPEED_MAX: f64 = 0.04;
 /// Between encoder readings further apart, nobody knows the turn, s.
 const READINGS_APART_MAX_S: f64 = 0.25;
-/// Encoder readings are kept so long.
-const TURNS_KEPT: Span = Span::from_millis(6_000);
 /// Between two ties.
 pub(super) const TIE_EVERY: Span = Span::from_millis(1_000);
+/// The first tie of a standstill spans so much: until it is there, the machine drifts as if it were driving.
+pub(super) const FIRST_TIE: Span = Span::from_millis(300);
 /// One sigma of a tie: rad (the encoder's steps and play), m (rocking of the chassis).
 pub(super) const TIE_SIGMA: [f64; 2] = [2.5e-4, 1.0e-3];
 
@@ -53,6 +62,8 @@ pub(super) const TIE_SIGMA: [f64; 2] = [2.5e-4, 1.0e-3];
 pub(super) struct Stillness {
     /// Blocks' means differ by so little: rad/s, m/s².
     wobble: [f64; 2],
+    /// rad/s.
+    turning_min: f64,
     /// m/s.
     speed_gained_max: f64,
 }
@@ -66,6 +77,7 @@ impl Stillness {
                 WOBBLE[0] + 4.0 * gyroscope_density / block_root_s,
                 WOBBLE[1] + 4.0 * accelerometer_density / block_root_s,
             ],
+            turning_min: TURNING_MIN + 4.0 * gyroscope_density / WINDOW.as_seconds().sqrt(),
             speed_gained_max: SPEED_GAINED_MAX + 4.0 * accelerometer_density * (0.5 * SPEED_FORGETS_S).sqrt(),
         }
     }
@@ -81,6 +93,8 @@ pub(super) struct Standstill {
     quiet: Option<(Stamp, Stamp)>,
     /// Since the chassis has been quiet.
     speed: Option<Speed>,
+    /// What the gyroscope reads at rest, and when that was.
+    rest_rate: Option<(Stamp, Vec3)>,
     turns: VecDeque<CabinTurn>,
     /// The newer node of the newest tie of this standstill.
     pub tied: Option<Stamp>,
@@ -120,14 +134,18 @@ impl Standstill {
             pushed: 0,
             quiet: None,
             speed: None,
+            rest_rate: None,
             turns: VecDeque::new(),
             tied: None,
         }
     }
 
     pub fn push_turn(&mut self, turn: CabinTurn) {
+        if self.turns.back().is_some_and(|newest| newest.stamp >= turn.stamp) {
+            self.turns.clear();
+        }
         self.turns.push_back(turn);
-        while self.turns.front().is_some_and(|oldest| turn.stamp - oldest.stamp > TURNS_KEPT) {
+        while self.turns.front().is_some_and(|oldest| turn.stamp - oldest.stamp > chassis_turn::KEPT) {
             self.turns.pop_front();
         }
     }
@@ -159,9 +177,18 @@ impl Standstill {
     }
 
     fn look(&mut self, now: Stamp) {
-        if !self.window_is_quiet() {
+        let rest_rate = self.rest_rate.filter(|(stamp, _)| now - *stamp < REST_FORGOTTEN);
+        let turning_min = self.stillness.turning_min;
+        let turns = |rate: &Vec3| rest_rate.is_some_and(|(_, rest)| (rate - rest).norm() > turning_min);
+        let Some(rate) = self.quiet_rate().filter(|rate| !turns(rate)) else {
             self.end();
             return;
+        };
+        if self.tied.is_some() {
+            let elapsed_s = rest_rate.map_or(0.0, |(stamp, _)| now.seconds_since(stamp).min(1.0));
+            let rest =
+                rest_rate.map_or(rate, |(_, rest)| rest + (rate - rest) * (elapsed_s / REST_FOLLOWS_S));
+            self.rest_rate = Some((now, rest));
         }
         let begin = self.samples.front().map_or(now, |sample| sample.stamp);
         let since = self.quiet.map_or(begin, |(since, _)| since);
@@ -174,7 +201,8 @@ impl Standstill {
         });
     }
 
-    fn window_is_quiet(&self) -> bool {
+    /// Mean angular rate of a window that is quiet.
+    fn quiet_rate(&self) -> Option<Vec3> {
         let covers = match (self.samples.front(), self.samples.back()) {
             (Some(oldest), Some(newest)) => {
                 (newest.stamp - oldest.stamp).as_seconds() > 0.9 * WINDOW.as_seconds()
@@ -182,7 +210,7 @@ impl Standstill {
             _ => false,
         };
         if !covers || self.samples.len() < 6 * BLOCKS {
-            return false;
+            return None;
         }
         let size = self.samples.len() / BLOCKS;
         let means: [(Vec3, Vec3); BLOCKS] = std::array::from_fn(|block| {
@@ -195,16 +223,17 @@ impl Standstill {
         let rate = means.iter().map(|(rate, _)| rate).sum::<Vec3>() / BLOCKS as f64;
         let force = means.iter().map(|(_, force)| force).sum::<Vec3>() / BLOCKS as f64;
         let wobble = self.stillness.wobble;
-        rate.norm() < RATE_MAX
+        let quiet = rate.norm() < RATE_MAX
             && means.iter().all(|(block_rate, block_force)| {
                 (block_rate - rate).amax() < wobble[0] && (block_force - force).amax() < wobble[1]
-            })
+            });
+        quiet.then_some(rate)
     }
 
     /// Since when and until when the chassis has certainly been quiet.
     pub fn certain(&self) -> Option<(Stamp, Stamp)> {
         let (since, until) = self.quiet?;
-        if self.speed.is_none_or(|speed| speed.learned_s < REFERENCE_S) {
+        if self.speed.is_none_or(|speed| speed.learned_s < BELIEVED_S) {
             return None;
         }
         let (since, until) = (since + CERTAIN_AFTER, until - CERTAIN_AFTER);

@@ -4,7 +4,7 @@
 use super::chassis_turn::{self, ChassisTurn};
 use super::graphs::Graphs;
 use super::options::Options;
-use super::standstill::{Standstill, TIE_EVERY, TIE_SIGMA, imu_from_base, stands};
+use super::standstill::{FIRST_TIE, Standstill, TIE_EVERY, TIE_SIGMA, imu_from_base, stands};
 use crate::factors::{BetweenFactor, TurnFactor};
 use crate::lie::Se3;
 
@@ -12,6 +12,8 @@ use crate::lie::Se3;
 const TURN_MISFIT_MAX: f64 = 0.03;
 /// A chassis that the estimate moves so far between two ties does not stand: m, rad.
 const TIE_MISFIT_MAX: [f64; 2] = [0.02, 0.002];
+/// Over a first tie, which is shorter, it moves less: m, and m/s.
+const FIRST_MISFIT_MAX: [f64; 2] = [0.003, 0.02];
 
 /// Ties two nodes of one standstill, if a second has gone by since the last tie. With `cabin_turns`, it is the
 /// chassis that was watched, and the cabin may have turned in between; else all of the machine stood.
@@ -26,7 +28,8 @@ pub(super) fn tie_chassis(
     let oldest = smoother.oldest_stamp().unwrap_or(since);
     let from = standstill.tied.filter(|tied| *tied >= oldest).or_else(|| smoother.node_after(since));
     let (Some(from), Some(to)) = (from, smoother.node_before(until)) else { return };
-    if to - from < TIE_EVERY {
+    let whole = to - from >= TIE_EVERY;
+    if !whole && (standstill.tied.is_some() || to - from < FIRST_TIE) {
         return;
     }
     let turn_at = |stamp| if cabin_turns { standstill.turn_at(stamp) } else { Some(0.0) };
@@ -40,11 +43,15 @@ pub(super) fn tie_chassis(
     let measured = *(at_from * at_to.inverse()).motion();
     let predicted = *(state_from.world_from_imu().inverse() * state_to.world_from_imu()).motion();
     let misfit = measured.inverse() * predicted;
+    let first_shift_max = FIRST_MISFIT_MAX[0] + FIRST_MISFIT_MAX[1] * to.seconds_since(from);
+    let shift_max = if whole { TIE_MISFIT_MAX[0] } else { first_shift_max };
     let agrees = stands(&state_to, &(sample.angular_rate - state_to.gyro_bias), &at_to)
-        && misfit.translation.norm() < TIE_MISFIT_MAX[0]
+        && misfit.translation.norm() < shift_max
         && misfit.rotation.log().norm() < TIE_MISFIT_MAX[1];
     if !agrees {
-        standstill.end();
+        if whole {
+            standstill.end();
+        }
         return;
     }
     let factor = BetweenFactor { measured, imu_from_sensor: Se3::identity(), sigma: TIE_SIGMA };

@@ -13,6 +13,7 @@ use super::initialization::{Initializer, Start};
 use super::lidar::{LidarTrack, Taken};
 use super::monitor::Monitor;
 use super::options::Options;
+use super::resumption::{Chassis, Known, LidarTrail};
 use super::standstill::{Standstill, Stillness};
 use super::ties;
 use super::{IMU_GAP_MAX, Solution};
@@ -45,6 +46,7 @@ pub struct Updater {
     pending: VecDeque<Reading>,
     standstill: Standstill,
     chassis_turn: ChassisTurn,
+    lidar_trail: LidarTrail,
     monitor: Monitor,
     now: Stamp,
     /// Memory of solutions that were adopted.
@@ -68,7 +70,7 @@ struct Running {
 
 impl Updater {
     pub(super) fn new(options: Options) -> Self {
-        let initializer = Initializer::new(options.clone());
+        let initializer = Initializer::new(options.clone(), None);
         let standstill = standstill_of(&options);
         Self {
             options,
@@ -77,6 +79,7 @@ impl Updater {
             pending: VecDeque::new(),
             standstill,
             chassis_turn: ChassisTurn::default(),
+            lidar_trail: LidarTrail::default(),
             monitor: Monitor::default(),
             now: Stamp::default(),
             used: Vec::new(),
@@ -103,7 +106,9 @@ impl Updater {
             }
             Admission::ClockReset(reason) => {
                 if sensor == Sensor::Imu {
-                    self.begin_anew(&format!("the clock of the cabin IMU has changed: {reason}"));
+                    let known = self.known().map(Known::by_another_clock);
+                    self.forget_chassis();
+                    self.begin_anew(&format!("the clock of the cabin IMU has changed: {reason}"), known);
                 }
                 self.monitor.note_refusal(self.now, sensor, reason);
                 return None;
@@ -115,7 +120,8 @@ impl Updater {
                     && sample.stamp - previous > IMU_GAP_MAX
                 {
                     let gap_s = sample.stamp.seconds_since(previous);
-                    self.begin_anew(&format!("the cabin IMU was silent for {gap_s:.2} s"));
+                    let known = self.known();
+                    self.begin_anew(&format!("the cabin IMU was silent for {gap_s:.2} s"), known);
                 }
                 if self.inbox.newest(Sensor::BaseImu).is_none() {
                     self.standstill.push_sample(sample);
@@ -123,7 +129,8 @@ impl Updater {
                 match &mut self.phase {
                     Phase::Running(running) => running.graphs.push_sample(sample),
                     Phase::Waiting(initializer) => {
-                        let start = initializer.push(&reading)?;
+                        let chassis = Chassis { gyroscope: &self.chassis_turn, encoder: &self.standstill };
+                        let start = initializer.push(&reading, &chassis)?;
                         return self.begin(start);
                     }
                 }
@@ -140,8 +147,18 @@ impl Updater {
                 None
             }
             Reading::GnssLeft(_) | Reading::GnssRight(_) | Reading::LidarOdometry(_) => {
+                let lidar_began_anew = match &reading {
+                    Reading::LidarOdometry(pose) => {
+                        !self.lidar_trail.follow(pose, self.options.gate.speed_max)
+                    }
+                    _ => false,
+                };
                 if let Phase::Waiting(initializer) = &mut self.phase {
-                    return initializer.push(&reading).and_then(|start| self.begin(start));
+                    if lidar_began_anew {
+                        initializer.note_lidar_restart();
+                    }
+                    let chassis = Chassis { gyroscope: &self.chassis_turn, encoder: &self.standstill };
+                    return initializer.push(&reading, &chassis).and_then(|start| self.begin(start));
                 }
                 let imu = self.inbox.newest(Sensor::Imu).unwrap_or(reading.stamp());
                 if reading.stamp() <= imu {
@@ -395,7 +412,7 @@ impl Updater {
         match updated {
             Ok(()) => {}
             Err(SmootherError::NotDetermined | SmootherError::NotStarted) => {
-                self.begin_anew("the estimate was no longer determined by its measurements");
+                self.begin_anew("the estimate was no longer determined by its measurements", None);
                 return None;
             }
             Err(error) => {
@@ -405,7 +422,7 @@ impl Updater {
         }
         let (newest, state) = running.graphs.active().newest()?;
         if !state.is_finite() {
-            self.begin_anew("the estimate was no longer finite");
+            self.begin_anew("the estimate was no longer finite", None);
             return None;
         }
         let covariance = *running.graphs.active().newest_covariance();
@@ -443,14 +460,21 @@ impl Updater {
         let mut smoother = Smoother::new(self.options.smoother);
         start.samples.iter().for_each(|sample| smoother.push_sample(*sample));
         if let Err(error) = smoother.start(start.stamp, start.state, &start.information) {
-            self.begin_anew(&format!("the start failed: it {error}"));
+            self.begin_anew(&format!("the start failed: it {error}"), None);
             return None;
         }
-        let mut gate = Gate::new(self.options.gate);
-        gate.begin_trusted(start.stamp);
+        let (mut gate, mut graphs) = (Gate::new(self.options.gate), Graphs::new(smoother));
+        if start.fixes_agree {
+            gate.begin_trusted(start.stamp);
+            self.monitor.end_outage(start.stamp, None);
+        } else {
+            graphs.lose();
+            self.monitor.begin_outage(start.stamp, start.stamp, GnssState::Silent);
+        }
+        self.monitor.note_graph(start.stamp, Graph::Main, graphs.state(), "no fix confirms the new start");
         self.monitor.note_start(start.stamp, start.heading_from, start.heading_sigma);
         self.phase = Phase::Running(Box::new(Running {
-            graphs: Graphs::new(smoother),
+            graphs,
             gate,
             lidar: LidarTrack::default(),
             last_left: None,
@@ -467,13 +491,33 @@ impl Updater {
         solution
     }
 
-    /// Gives up the estimate and waits for a new start.
-    fn begin_anew(&mut self, reason: &str) {
-        let was_running = matches!(self.phase, Phase::Running(_));
-        self.phase = Phase::Waiting(Box::new(Initializer::new(self.options.clone())));
-        self.pending.clear();
+    /// What outlasts a silence of the IMU.
+    fn known(&mut self) -> Option<Known> {
+        match &mut self.phase {
+            Phase::Waiting(initializer) => initializer.take_known(),
+            Phase::Running(running) => {
+                let smoother = running.graphs.active();
+                let (stamp, state) = smoother.newest()?;
+                let lidar = running.lidar.newest().filter(|pose| self.lidar_trail.holds(pose.stamp));
+                let lidar = lidar.and_then(|pose| Some((pose, smoother.state_at(pose.stamp)?)));
+                Some(Known { stamp, state, covariance: *smoother.newest_covariance(), lidar })
+            }
+        }
+    }
+
+    /// What the chassis' sensors said is by a clock that no longer counts.
+    fn forget_chassis(&mut self) {
         self.standstill = standstill_of(&self.options);
         self.chassis_turn = ChassisTurn::default();
+    }
+
+    /// Gives up the estimate and waits for a new start.
+    fn begin_anew(&mut self, reason: &str, known: Option<Known>) {
+        let was_running = matches!(self.phase, Phase::Running(_));
+        self.phase = Phase::Waiting(Box::new(Initializer::new(self.options.clone(), known)));
+        self.pending.clear();
+        self.standstill.end();
+        self.chassis_turn.tied = None;
         if was_running {
             self.monitor.note_restart(self.now, reason);
         }
@@ -507,9 +551,12 @@ impl Updater {
                     Some(stamp) if self.now - stamp < Span::from_millis(1_500) => GnssState::Recovering,
                     _ => GnssState::Silent,
                 };
-                (Some(initializer.waits_for().to_owned()), gnss)
+                (Some(initializer.waits_for().to_owned()), (gnss, [1.0; 2]))
             }
-            Phase::Running(running) => (None, running.gate.state()),
+            Phase::Running(running) => {
+                let inflation = running.gate.inflation();
+                (None, (running.gate.state(), [inflation.x, inflation.z]))
+            }
         };
         self.monitor.health(self.now, waits_for, gnss, self.inbox.health(self.now))
     }

@@ -168,6 +168,7 @@ mod tests {
         gyroscope_random_walk: 8.0e-6,
         accelerometer_random_walk: 6.0e-5,
         base_gyroscope_random_walk: 8.0e-6,
+        missed_part: [0.0; 2],
         gap_s: 0.05,
     };
 
@@ -176,6 +177,7 @@ mod tests {
             span_s: 0.01,
             angular_rate: Vec3::new(0.5, -0.3, 0.8),
             specific_force: Vec3::new(0.4, -0.9, 9.7),
+            change: [Vec3::zeros(); 2],
         };
         let steps = std::iter::repeat_n(step, 20);
         let motion = Preintegration::of_steps(steps, Vec3::new(1e-3, 0.0, -1e-3), Vec3::zeros(), &NOISE);

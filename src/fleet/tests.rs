@@ -40,6 +40,7 @@ fn health(mode: Mode, gnss: GnssState) -> Health {
         mode,
         waits_for: (mode == Mode::Initializing).then(|| "two seconds of standstill".to_owned()),
         gnss,
+        gnss_inflation: [1.0; 2],
         position_sigma_m: Some(0.024),
         heading_sigma_deg: Some(0.1),
         worst_test_ratio: 0.3,

@@ -30,6 +30,9 @@ pub struct ImuNoise {
     pub accelerometer_random_walk: f64,
     /// Of the chassis' gyroscope, whose bias is estimated along, rad/s²/√Hz.
     pub base_gyroscope_random_walk: f64,
+    /// What a step's mean may be off, as a part of how much the readings change over the step: of the angular rate,
+    /// of the specific force. Samples miss a part of a vibration that is faster than they are.
+    pub missed_part: [f64; 2],
     /// Two samples further apart than this are a gap, s.
     pub gap_s: f64,
 }
@@ -120,7 +123,7 @@ impl Preintegration {
         // Error dynamics: rotation by the step, position by velocity, both by the turned acceleration.
         let position_by_rotation = -rotation * hat(&position_step);
         let velocity_by_rotation = -rotation * hat(&velocity_step);
-        self.propagate_covariance(dt, &turn_back, &position_by_rotation, &velocity_by_rotation, noise);
+        self.propagate_covariance(step, &turn_back, &position_by_rotation, &velocity_by_rotation, noise);
 
         // To third order in φ, with d(φ × (φ × a)) = ((φ·a) I + φ aᵀ − 2 a φᵀ) dφ and ∂φ/∂b_g = −dt.
         let hat_acceleration = hat(&acceleration);
@@ -146,12 +149,13 @@ impl Preintegration {
 
     fn propagate_covariance(
         &mut self,
-        dt: f64,
+        step: &Step,
         turn_back: &Mat3,
         position_by_rotation: &Mat3,
         velocity_by_rotation: &Mat3,
         noise: &ImuNoise,
     ) {
+        let dt = step.span_s;
         let block =
             |row: usize, column: usize| self.covariance.fixed_view::<3, 3>(3 * row, 3 * column).into_owned();
         let (rr, rp, rv) = (block(0, 0), block(0, 1), block(0, 2));
@@ -171,11 +175,15 @@ impl Preintegration {
         let new_vv = fv_r * b.transpose() + fv_v;
 
         let gap_s = if dt > noise.gap_s { dt } else { 0.0 };
+        let [missed_rate, missed_force] = noise.missed_part.map(|part| (part * dt).powi(2));
         let rate = noise.gyroscope_noise_density.powi(2) * dt + (GAP_ANGULAR_RATE_SIGMA * gap_s).powi(2);
-        let force =
-            noise.accelerometer_noise_density.powi(2) * dt + (GAP_SPECIFIC_FORCE_SIGMA * gap_s).powi(2);
+        let rate = step.change[0].component_mul(&step.change[0]) * missed_rate + Vec3::repeat(rate);
+        // Of no direction, since it is turned into the frame of the start.
+        let force = noise.accelerometer_noise_density.powi(2) * dt
+            + (GAP_SPECIFIC_FORCE_SIGMA * gap_s).powi(2)
+            + step.change[1].norm_squared() / 3.0 * missed_force;
         let identity = Mat3::identity();
-        self.set_block(0, 0, &(new_rr + identity * rate));
+        self.set_block(0, 0, &(new_rr + Mat3::from_diagonal(&rate)));
         self.set_block(0, 1, &new_rp);
         self.set_block(0, 2, &new_rv);
         self.set_block(1, 1, &(new_pp + identity * (force * dt * dt / 3.0)));

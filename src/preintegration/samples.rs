@@ -15,6 +15,8 @@ pub struct Step {
     pub angular_rate: Vec3,
     /// m/s², as measured.
     pub specific_force: Vec3,
+    /// How much both readings changed from one end to the other: what lies in between is not known better.
+    pub change: [Vec3; 2],
 }
 
 impl Step {
@@ -24,6 +26,7 @@ impl Step {
             span_s: to.stamp.seconds_since(from.stamp),
             angular_rate: (from.angular_rate + to.angular_rate) * 0.5,
             specific_force: (from.specific_force + to.specific_force) * 0.5,
+            change: [to.angular_rate - from.angular_rate, to.specific_force - from.specific_force],
         }
     }
 }

@@ -11,6 +11,7 @@ const NOISE: ImuNoise = ImuNoise {
     gyroscope_random_walk: 1.0e-5,
     accelerometer_random_walk: 1.0e-4,
     base_gyroscope_random_walk: 8.0e-6,
+    missed_part: [0.0; 2],
     gap_s: 0.03,
 };
 
@@ -22,6 +23,7 @@ fn steps(count: usize) -> Vec<Step> {
                 span_s: 0.01,
                 angular_rate: Vec3::new(0.4 * (3.0 * t).sin(), -0.3, 0.8 * t.cos()),
                 specific_force: Vec3::new(0.5 + t, -0.8 * (2.0 * t).cos(), 9.8),
+                change: [Vec3::new(0.1, -0.3, 0.02), Vec3::new(1.0, 0.5, -0.7)],
             }
         })
         .collect()
@@ -45,6 +47,7 @@ fn one_step_is_exact_for_a_steadily_turning_body() {
         span_s: 0.5,
         angular_rate: Vec3::new(0.6, -0.9, 1.4),
         specific_force: Vec3::new(1.0, -2.0, 9.0),
+        change: [Vec3::zeros(); 2],
     };
     let fine = Step { span_s: step.span_s / 4096.0, ..step };
     let reference = integrate(&vec![fine; 4096], Vec3::zeros(), Vec3::zeros());
@@ -97,31 +100,41 @@ fn first_order_correction_meets_a_new_integration() {
     assert!((velocity - again.velocity).norm() < 1e-6);
 }
 
-/// Every block of the covariance against 4000 sampled runs of the same second of motion.
 #[test]
 fn covariance_agrees_with_sampling() {
+    covariance_agrees_with_sampled_runs(&NOISE);
+}
+
+#[test]
+fn covariance_of_what_samples_miss_agrees_with_sampling() {
+    covariance_agrees_with_sampled_runs(&ImuNoise { missed_part: [0.2, 0.25], ..NOISE });
+}
+
+/// Every block of the covariance against 4000 sampled runs of the same second of motion.
+fn covariance_agrees_with_sampled_runs(noise: &ImuNoise) {
     const SEED: u64 = 7;
     const RUNS: usize = 4000;
     let steps = steps(100);
-    let nominal = integrate(&steps, Vec3::zeros(), Vec3::zeros());
+    let nominal = Preintegration::of_steps(steps.iter().copied(), Vec3::zeros(), Vec3::zeros(), noise);
     let mut generator = ChaCha8Rng::seed_from_u64(SEED);
     let mut sampled = Mat9::zeros();
     for _ in 0..RUNS {
         let mut noisy = Preintegration::new(Vec3::zeros(), Vec3::zeros());
         for step in &steps {
             let scale = 1.0 / step.span_s.sqrt();
-            let mut draw = |density: f64| {
-                Vec3::from_fn(|_, _| {
-                    let sample: f64 = StandardNormal.sample(&mut generator);
-                    density * scale * sample
-                })
-            };
+            let mut draw = || Vec3::from_fn(|_, _| StandardNormal.sample(&mut generator));
+            let missed_rate = step.change[0].component_mul(&draw()) * noise.missed_part[0];
+            let missed_force = draw() * (step.change[1].norm() / 3.0_f64.sqrt() * noise.missed_part[1]);
             let disturbed = Step {
-                span_s: step.span_s,
-                angular_rate: step.angular_rate + draw(NOISE.gyroscope_noise_density),
-                specific_force: step.specific_force + draw(NOISE.accelerometer_noise_density),
+                angular_rate: step.angular_rate
+                    + draw() * (noise.gyroscope_noise_density * scale)
+                    + missed_rate,
+                specific_force: step.specific_force
+                    + draw() * (noise.accelerometer_noise_density * scale)
+                    + missed_force,
+                ..*step
             };
-            noisy.add(&disturbed, &NOISE);
+            noisy.add(&disturbed, noise);
         }
         let error = difference(&noisy, &nominal);
         sampled += error * error.transpose() / RUNS as f64;

@@ -27,6 +27,8 @@ pub(super) struct Interval {
     pub start: Stamp,
     pub end: Stamp,
     pub kind: GnssConditionKind,
+    /// How far off confident and wrong fixes are, least and most, m.
+    pub offset_m: Option<[f64; 2]>,
 }
 
 /// The times in which GNSS is not good; they may come again.
@@ -163,6 +165,9 @@ pub(super) struct AntennaSource {
     receiver: Receiver,
     /// Of unit variance, remembers for [`WANDER_TIME_S`].
     wander: Vec3,
+    /// Of unit variance, remembers for the specification's time.
+    slow: Vec3,
+    slow_dice: Dice,
     last_stamp: Option<Stamp>,
     /// Error of confident fixes in each interval, m.
     offsets: Vec<Vec3>,
@@ -170,7 +175,7 @@ pub(super) struct AntennaSource {
 }
 
 impl AntennaSource {
-    /// `offsets` gives the direction of confident errors, `dice` the noise.
+    /// `offsets` gives the direction of confident errors, `noise` what is new in each fix, and what is slow.
     pub(super) fn new(
         side: Side,
         cabin_from_antenna: Se3,
@@ -178,18 +183,30 @@ impl AntennaSource {
         specification: Gnss,
         receiver: Receiver,
         mut offsets: Dice,
-        mut dice: Dice,
+        [mut dice, mut slow_dice]: [Dice; 2],
     ) -> Self {
-        let mut offset = || {
+        let mut offset = |interval: &Interval| {
+            let [least_m, most_m] = interval.offset_m.unwrap_or(CONFIDENT_OFFSET_M);
             let heading = offsets.uniform(0.0, std::f64::consts::TAU);
-            let size_m = offsets.uniform(CONFIDENT_OFFSET_M[0], CONFIDENT_OFFSET_M[1]);
+            let size_m = offsets.uniform(least_m, most_m);
             let up = offsets.uniform(-0.5, 0.5);
             Vec3::new(libm::cos(heading), libm::sin(heading), up).normalize() * size_m
         };
-        let offsets = receiver.sky.intervals.iter().map(|_| offset()).collect();
+        let offsets = receiver.sky.intervals.iter().map(&mut offset).collect();
         let wander = dice.normals();
-        let last_stamp = None;
-        Self { side, cabin_from_antenna, site, specification, receiver, wander, last_stamp, offsets, dice }
+        Self {
+            side,
+            cabin_from_antenna,
+            site,
+            specification,
+            receiver,
+            wander,
+            slow: slow_dice.normals(),
+            slow_dice,
+            last_stamp: None,
+            offsets,
+            dice,
+        }
     }
 }
 
@@ -197,16 +214,22 @@ impl Source for AntennaSource {
     fn read(&mut self, stamp: Stamp, bodies: &Bodies) -> Option<Reading> {
         let white = self.dice.normals();
         let drive = self.dice.normals();
-        let memory =
-            self.last_stamp.map_or(1.0, |last| libm::exp(-stamp.seconds_since(last) / WANDER_TIME_S));
-        self.wander = self.wander * memory + drive * (1.0 - memory * memory).sqrt();
+        let step_s = self.last_stamp.map_or(0.0, |last| stamp.seconds_since(last));
         self.last_stamp = Some(stamp);
+        let remember = |process: &Vec3, drive: &Vec3, time_s: f64| {
+            let memory = libm::exp(-step_s / time_s);
+            process * memory + drive * (1.0 - memory * memory).sqrt()
+        };
+        self.wander = remember(&self.wander, &drive, WANDER_TIME_S);
+        self.slow = remember(&self.slow, &self.slow_dice.normals(), self.specification.slow_time_s);
         let usual = Vec3::from_row_slice(&self.specification.sigma_enu_m);
+        let slow = Vec3::from_row_slice(&self.specification.slow_sigma_enu_m);
+        let whole = usual.zip_map(&slow, libm::hypot) * self.specification.reported_sigma_scale;
         let (error, sigma_enu_m) = match self.receiver.solution(stamp) {
             Solution::Missing => return None,
             Solution::Fixed { extra } => {
-                let sigma = usual * (1.0 + extra);
-                (white.component_mul(&sigma), sigma)
+                let error = white.component_mul(&usual) + self.slow.component_mul(&slow);
+                (error * (1.0 + extra), whole * (1.0 + extra))
             }
             Solution::Float { sigma_m } => {
                 let sigma = Vec3::new(sigma_m, sigma_m, VERTICAL_FACTOR * sigma_m);

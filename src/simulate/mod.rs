@@ -105,7 +105,7 @@ impl Simulation {
         let antenna = |side, transform: &config::Transform, name: &str| {
             let receiver = Receiver::new(sky.clone(), dice("gnss/receiver"));
             let offsets = dice(&format!("{name}/multipath"));
-            let noise = dice(&format!("{name}/noise"));
+            let noise = [dice(&format!("{name}/noise")), dice(&format!("{name}/slow noise"))];
             let at = at_point(transform.translation_m);
             AntennaSource::new(side, at, site, sensors.gnss, receiver, offsets, noise)
         };
@@ -220,6 +220,7 @@ fn sky(scenario: &Scenario, id: &str, period: Option<Span>) -> Sky {
             start: Stamp::from_seconds(condition.start_s),
             end: Stamp::from_seconds(condition.end_s),
             kind: condition.kind,
+            offset_m: condition.offset_m,
         })
         .collect();
     Sky { intervals, period }

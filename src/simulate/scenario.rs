@@ -121,6 +121,9 @@ pub struct GnssCondition {
     /// Ids of the machines that it befalls; all if it is empty.
     #[serde(default)]
     pub machines: Vec<String>,
+    /// How far off confident and wrong fixes are, least and most, m; 0.3 to 2 m if it is missing.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub offset_m: Option<[f64; 2]>,
 }
 
 /// What can be wrong with GNSS.
@@ -219,6 +222,10 @@ impl Checked for ScenarioFile {
         for condition in &self.gnss_condition {
             config::within("gnss_condition.start_s", condition.start_s, 0.0, 1.0e6)?;
             config::within("gnss_condition.end_s", condition.end_s, condition.start_s, 1.0e6)?;
+            if let Some([least, most]) = condition.offset_m {
+                config::within("gnss_condition.offset_m", least, 0.0, 1.0e3)?;
+                config::within("gnss_condition.offset_m", most, least, 1.0e3)?;
+            }
         }
         Ok(())
     }

@@ -58,8 +58,14 @@ pub struct Imu {
 pub struct Gnss {
     /// Hz.
     pub rate_hz: f64,
-    /// One sigma of each fix east, north, up, m; also what the receiver reports.
+    /// One sigma of what is new in each fix east, north, up, m.
     pub sigma_enu_m: [f64; 3],
+    /// One sigma of an error that changes slowly (a first-order Gauss-Markov process), each antenna by itself, m.
+    pub slow_sigma_enu_m: [f64; 3],
+    /// For so long it remembers, s.
+    pub slow_time_s: f64,
+    /// What the receiver reports, as a part of both together; below one it is surer than it should be.
+    pub reported_sigma_scale: f64,
     /// From stamp to arrival, s.
     pub latency_s: f64,
     /// One sigma, s.
@@ -129,6 +135,9 @@ impl Default for Gnss {
         Self {
             rate_hz: 20.0,
             sigma_enu_m: [0.008, 0.008, 0.014],
+            slow_sigma_enu_m: [0.0; 3],
+            slow_time_s: 30.0,
+            reported_sigma_scale: 1.0,
             latency_s: 0.06,
             latency_jitter_s: 0.008,
             stamp_jitter_s: 2.0e-6,
@@ -205,6 +214,12 @@ impl Sensors {
         for sigma in self.gnss.sigma_enu_m {
             config::within("sensors.gnss.sigma_enu_m", sigma, 0.0, 100.0)?;
         }
+        for sigma in self.gnss.slow_sigma_enu_m {
+            config::within("sensors.gnss.slow_sigma_enu_m", sigma, 0.0, 100.0)?;
+        }
+        config::within("sensors.gnss.slow_time_s", self.gnss.slow_time_s, 0.01, 1.0e6)?;
+        let scale = self.gnss.reported_sigma_scale;
+        config::within("sensors.gnss.reported_sigma_scale", scale, 0.01, 100.0)?;
         let lidar = &self.lidar_odometry;
         config::within("sensors.lidar_odometry.increment_sigma_m", lidar.increment_sigma_m, 0.0, 10.0)?;
         config::within("sensors.lidar_odometry.increment_sigma_deg", lidar.increment_sigma_deg, 0.0, 90.0)?;

@@ -16,6 +16,7 @@ const NOISE: ImuNoise = ImuNoise {
     gyroscope_random_walk: 8.0e-6,
     accelerometer_random_walk: 6.0e-5,
     base_gyroscope_random_walk: 8.0e-6,
+    missed_part: [0.0; 2],
     gap_s: 0.05,
 };
 

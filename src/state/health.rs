@@ -98,6 +98,10 @@ pub struct Health {
     pub waits_for: Option<String>,
     /// State of the fixes.
     pub gnss: GnssState,
+    /// What the receiver's sigmas are multiplied by, since innovations showed that it is surer than it should be:
+    /// horizontal, vertical; 1 is as reported.
+    #[serde(default = "as_reported")]
+    pub gnss_inflation: [f64; 2],
     /// Standard deviation of the position along its worst horizontal direction, m; `null` before the start.
     pub position_sigma_m: Option<f64>,
     /// Standard deviation of the heading, degrees.
@@ -118,6 +122,11 @@ pub struct Health {
     pub gyro_bias: [f64; 3],
     /// Accelerometer bias, m/s², in the IMU frame.
     pub accel_bias: [f64; 3],
+}
+
+/// Of health messages from before there was an inflation.
+const fn as_reported() -> [f64; 2] {
+    [1.0; 2]
 }
 
 /// How much an event matters.

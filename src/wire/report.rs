@@ -169,6 +169,7 @@ mod tests {
                 mode: Mode::Initializing,
                 waits_for: Some("a standstill".to_owned()),
                 gnss: GnssState::Silent,
+                gnss_inflation: [1.0; 2],
                 position_sigma_m: None,
                 heading_sigma_deg: None,
                 worst_test_ratio: 0.0,

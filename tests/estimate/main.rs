@@ -6,6 +6,9 @@ mod bad_input;
 #[path = "../support/command.rs"]
 mod command;
 mod degenerate;
+mod degraded;
 mod fixtures;
+mod imu_gap;
 mod outages;
+mod receiver;
 mod start;

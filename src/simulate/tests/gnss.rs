@@ -25,7 +25,7 @@ fn error_of(simulation: &Simulation, fix: &GnssFix) -> Vec3 {
 fn with_condition(kind: GnssConditionKind) -> Scenario {
     let mut scenario = load("navigation.toml");
     let (start_s, end_s, machines) = (100.0, 400.0, Vec::new());
-    scenario.file.gnss_condition = vec![GnssCondition { start_s, end_s, kind, machines }];
+    scenario.file.gnss_condition = vec![GnssCondition { start_s, end_s, kind, machines, offset_m: None }];
     scenario
 }
 
