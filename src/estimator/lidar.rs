@@ -135,7 +135,7 @@ impl LidarTrack {
             return;
         }
         let Some(pose) = self.last else { return };
-        let smoother = graphs.active();
+        let smoother = graphs.active_mut();
         let Some(state) = smoother.state_at(pose.stamp) else { return };
         self.anchor = Some(Anchor {
             pose,
@@ -276,7 +276,7 @@ fn tie(
     if later <= earlier {
         return Ok(Taken::Used);
     }
-    let lidar_at = |stamp: Stamp| -> Option<Pose<World, Lidar>> {
+    let mut lidar_at = |stamp: Stamp| -> Option<Pose<World, Lidar>> {
         Some(smoother.state_at(stamp)?.world_from_imu() * options.imu_from_lidar)
     };
     let states = (lidar_at(earlier), lidar_at(from.stamp), lidar_at(to.stamp), lidar_at(later));

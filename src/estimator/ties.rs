@@ -24,7 +24,7 @@ pub(super) fn tie_chassis(
     cabin_turns: bool,
 ) {
     let Some((since, until)) = standstill.certain() else { return };
-    let smoother = graphs.active();
+    let smoother = graphs.active_mut();
     let oldest = smoother.oldest_stamp().unwrap_or(since);
     let from = standstill.tied.filter(|tied| *tied >= oldest).or_else(|| smoother.node_after(since));
     let (Some(from), Some(to)) = (from, smoother.node_before(until)) else { return };
@@ -70,7 +70,7 @@ pub(super) fn tie_turn(
     let (Some((since, until)), Some(newest_turn)) = (chassis.covered(), standstill.newest_turn()) else {
         return;
     };
-    let smoother = graphs.active();
+    let smoother = graphs.active_mut();
     let oldest = smoother.oldest_stamp().unwrap_or(since);
     let from = chassis.tied.filter(|tied| *tied >= oldest).or_else(|| smoother.node_after(since.max(oldest)));
     let (Some(from), Some(to)) = (from, smoother.node_before(until.min(newest_turn))) else { return };

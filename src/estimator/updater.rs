@@ -243,8 +243,8 @@ impl Updater {
         };
         let expected = candidate.expected;
         let solution = self.solve(Sensor::GnssLeft, outcome, fix.stamp);
-        let corrected = match &self.phase {
-            Phase::Running(running) => running.graphs.active().state_at(fix.stamp),
+        let corrected = match &mut self.phase {
+            Phase::Running(running) => running.graphs.active_mut().state_at(fix.stamp),
             Phase::Waiting(_) => None,
         };
         let jump_m = corrected.map(|state| (state.position + state.rotation * lever_arm - expected).norm());
@@ -626,12 +626,12 @@ fn baseline_refusal(options: &Options, left: &GnssFix, right: &GnssFix) -> Optio
 }
 
 fn candidate(
-    running: &Running,
+    running: &mut Running,
     options: &Options,
     fix: &GnssFix,
     lever_arm: &Vec3,
 ) -> Result<Candidate, SmootherError> {
-    let smoother = running.graphs.active();
+    let smoother = running.graphs.active_mut();
     let oldest = smoother.oldest_stamp().unwrap_or(fix.stamp);
     let behind_s = oldest.seconds_since(fix.stamp);
     let (state, covariance) = smoother.predict(fix.stamp).ok_or(SmootherError::TooOld { behind_s })?;

@@ -126,8 +126,8 @@ impl ImuFactor {
         by_j[(row::BASE_GYRO_BIAS, row::BASE_GYRO_BIAS)] = 1.0;
         LinearImu {
             residual: self.residual(state_i, state_j, gravity),
-            jacobian_i: self.whitened_columns(&by_i),
-            jacobian_j: self.whitened_columns(&by_j),
+            jacobian_i: self.whitened_columns::<STATE_DIM>(&by_i),
+            jacobian_j: self.whitened_columns::<9>(&by_j),
         }
     }
 
@@ -142,10 +142,13 @@ impl ImuFactor {
         whitened
     }
 
-    fn whitened_columns(&self, jacobian: &StateMatrix) -> StateMatrix {
-        let mut whitened = StateMatrix::zeros();
-        for (column, raw) in jacobian.column_iter().enumerate() {
-            whitened.set_column(column, &self.whitened(&raw.into_owned()));
+    /// Of a Jacobian of which the residuals of the motion depend on the first `BY` columns, those of the biases on
+    /// their own.
+    fn whitened_columns<const BY: usize>(&self, jacobian: &StateMatrix) -> StateMatrix {
+        let mut whitened = *jacobian;
+        whitened.fixed_view_mut::<9, BY>(0, 0).copy_from(&(self.whiten * jacobian.fixed_view::<9, BY>(0, 0)));
+        for bias in 9..STATE_DIM {
+            whitened[(bias, bias)] *= self.bias_information_root[bias / 3 - 3];
         }
         whitened
     }

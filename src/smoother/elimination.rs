@@ -3,247 +3,216 @@
 //! The cost over the tangents δ of some variables is ½ δᵀ H δ − gᵀ δ. Eliminating a node takes a partial
 //! Cholesky factorization of (H, g): the first columns give the node from the later variables, what is left
 //! is the marginal information on those (Dellaert and Kaess, "Factor Graphs for Robot Perception", 2017,
-//! section 3.4). Only lower triangles are stored, column by column, with gᵀ as the last row.
+//! section 3.4). All is kept in tiles, of which a node takes all of its own or those of its pose.
 
-use crate::state::STATE_DIM;
+use super::kernels;
+use super::tile::{LANES, Quad, Tile, lower_len};
+use crate::state::{STATE_DIM, StateMatrix};
 use crate::time::Stamp;
 
 /// Rotation and position: all of a later node that an edge to it touches.
 pub(super) const POSE_DIM: usize = 6;
-/// Side of the block that a turn of the chassis adds: all of the earlier node, the pose of the later.
-pub(super) const TURN_DIM: usize = STATE_DIM + POSE_DIM;
+/// Tiles in a column that a pose takes.
+pub(super) const POSE_TILES: usize = POSE_DIM.div_ceil(LANES);
+/// Tiles in a column that a whole node takes.
+pub(super) const NODE_TILES: usize = STATE_DIM / LANES;
+const _: () = assert!(STATE_DIM.is_multiple_of(LANES), "a node fills its tiles");
 
-/// A variable of a front: the node at `stamp`, by its first `dim` rows (6 or 16).
+/// A variable: the node at `stamp`, by its first `tiles` tiles (a pose's or a whole node's).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Variable {
     pub stamp: Stamp,
-    pub dim: usize,
+    pub tiles: usize,
+    /// Its first tile in a column.
+    pub first: usize,
 }
 
-/// Information on some variables: lower triangle of H with gᵀ below, (n + 1) × n.
-#[derive(Clone, Debug, Default, PartialEq)]
+/// Information on some variables, oldest first: H and g.
+#[derive(Debug, Default, PartialEq)]
 pub(super) struct Message {
     pub variables: Vec<Variable>,
-    pub values: Vec<f64>,
+    /// Lower half of H, column of tiles by column of tiles.
+    pub tiles: Vec<Tile>,
+    pub right: Vec<Quad>,
 }
 
-/// How an eliminated node follows from later variables: the first 16 columns of the factorized front.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Conditional {
-    /// Without the node itself.
-    pub parents: Vec<Variable>,
-    /// (n + 1) × 16: L, then Y, then dᵀ.
-    pub columns: Vec<f64>,
+/// The normal equations of one node and the later variables it is tied to. Once eliminated: how the node follows
+/// from those, and the message on them.
+#[derive(Debug, Default, PartialEq)]
+pub(super) struct Front {
+    /// The node's columns of H, one row of tiles at a time; eliminated: L, then Y.
+    panel: Vec<[Tile; NODE_TILES]>,
+    /// The node's part of g; eliminated: d.
+    right: [Quad; NODE_TILES],
+    /// Of the eliminated: 1/diagonal of L.
+    scales: [Quad; NODE_TILES],
+    /// On the later variables, which are the node's parents.
+    pub message: Message,
 }
 
 /// H is not positive definite: some direction of some state is not observed at all, or numbers overflowed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct NotPositive;
 
-/// The normal equations of one node and what it is tied to.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Front {
-    variables: Vec<Variable>,
-    offsets: Vec<usize>,
-    size: usize,
-    values: Vec<f64>,
+impl Clone for Message {
+    fn clone(&self) -> Self {
+        let mut copy = Self::default();
+        copy.clone_from(self);
+        copy
+    }
+
+    fn clone_from(&mut self, source: &Self) {
+        self.variables.clone_from(&source.variables);
+        self.tiles.clone_from(&source.tiles);
+        self.right.clone_from(&source.right);
+    }
+}
+
+impl Clone for Front {
+    fn clone(&self) -> Self {
+        let mut copy = Self::default();
+        copy.clone_from(self);
+        copy
+    }
+
+    fn clone_from(&mut self, source: &Self) {
+        self.panel.clone_from(&source.panel);
+        self.right = source.right;
+        self.scales = source.scales;
+        self.message.clone_from(&source.message);
+    }
 }
 
 impl Message {
-    /// Side of H.
-    pub fn size(&self) -> usize {
-        self.variables.iter().map(|variable| variable.dim).sum()
+    /// Tiles in a column.
+    pub fn side(&self) -> usize {
+        self.right.len()
     }
 
     pub fn clear(&mut self) {
         self.variables.clear();
-        self.values.clear();
-    }
-}
-
-impl Front {
-    /// Starts over with the node and nothing known.
-    pub fn begin(&mut self, node: Stamp) {
-        self.variables.clear();
-        self.variables.push(Variable { stamp: node, dim: STATE_DIM });
+        self.tiles.clear();
+        self.right.clear();
     }
 
-    /// Makes room for the first `dim` rows of the node at `stamp`.
-    pub fn include(&mut self, stamp: Stamp, dim: usize) {
-        match self.variables.binary_search_by_key(&stamp, |variable| variable.stamp) {
-            Ok(found) => self.variables[found].dim = self.variables[found].dim.max(dim),
-            Err(place) => self.variables.insert(place, Variable { stamp, dim }),
+    /// Makes room for the first `tiles` tiles of the node at `stamp`.
+    pub fn include(&mut self, stamp: Stamp, tiles: usize) {
+        let place = self.variables.partition_point(|variable| variable.stamp < stamp);
+        match self.variables.get_mut(place) {
+            Some(found) if found.stamp == stamp => found.tiles = found.tiles.max(tiles),
+            _ => self.variables.insert(place, Variable { stamp, tiles, first: 0 }),
         }
     }
 
     /// All variables are included: zeroes H and g.
     pub fn lay_out(&mut self) {
-        self.offsets.clear();
-        self.size = 0;
-        for variable in &self.variables {
-            self.offsets.push(self.size);
-            self.size += variable.dim;
+        let mut side = 0;
+        for variable in &mut self.variables {
+            variable.first = side;
+            side += variable.tiles;
         }
-        self.values.clear();
-        self.values.resize(self.size * (self.size + 1), 0.0);
+        self.tiles.clear();
+        self.tiles.resize(lower_len(side), Tile::ZERO);
+        self.right.clear();
+        self.right.resize(side, [0.0; LANES]);
     }
 
-    /// First row of the node at `stamp`, which must be included.
-    pub fn offset(&self, stamp: Stamp) -> usize {
-        let found = self
-            .variables
-            .binary_search_by_key(&stamp, |variable| variable.stamp)
-            .expect("a variable is included before it is used");
-        self.offsets[found]
+    fn first_of(&self, stamp: Stamp) -> usize {
+        let found = self.variables.iter().find(|variable| variable.stamp == stamp);
+        found.expect("a variable is included before it is used").first
     }
 
-    /// Adds a message on included variables.
-    pub fn add_message(&mut self, message: &Message) {
-        let mut source = 0;
-        let stride = message.size() + 1;
-        for (index, variable) in message.variables.iter().enumerate() {
-            let target = self.offset(variable.stamp);
-            for column in 0..variable.dim {
-                let from = &message.values[(source + column) * stride..][..stride];
-                let mut row = source + column;
-                // The rest of this variable's own block, then whole blocks below, then g.
-                self.add_to_column(target + column, target + column, &from[row..source + variable.dim]);
-                row = source + variable.dim;
-                for below in &message.variables[index + 1..] {
-                    self.add_to_column(
-                        target + column,
-                        self.offset(below.stamp),
-                        &from[row..row + below.dim],
-                    );
-                    row += below.dim;
-                }
-                self.add_to_column(target + column, self.size, &from[row..]);
-            }
-            source += variable.dim;
-        }
-    }
-
-    fn add_to_column(&mut self, column: usize, row: usize, values: &[f64]) {
-        let start = column * (self.size + 1) + row;
-        for (target, value) in self.values[start..start + values.len()].iter_mut().zip(values) {
-            *target += value;
-        }
-    }
-
-    /// Adds a lower-triangular block of the layout of [`Message`] over consecutive variables that begin at
-    /// the nodes' `offsets`: block 0 of `split` rows at `offsets[0]`, the rest at `offsets[1]`.
-    pub fn add_pair(&mut self, offsets: [usize; 2], split: usize, size: usize, values: &[f64]) {
-        let stride = size + 1;
-        for column in 0..size {
-            let from = &values[column * stride..(column + 1) * stride];
-            if column < split {
-                self.add_to_column(offsets[0] + column, offsets[0] + column, &from[column..split]);
-                self.add_to_column(offsets[0] + column, offsets[1], &from[split..size]);
-                self.add_to_column(offsets[0] + column, self.size, &from[size..]);
-            } else {
-                let target = offsets[1] + column - split;
-                self.add_to_column(target, target, &from[column..size]);
-                self.add_to_column(target, self.size, &from[size..]);
-            }
-        }
-    }
-
-    /// Eliminates the first variable; leaves its conditional and the message on the others.
-    pub fn eliminate(
-        &mut self,
-        conditional: &mut Conditional,
-        message: &mut Message,
-    ) -> Result<(), NotPositive> {
-        let stride = self.size + 1;
-        partial_cholesky(&mut self.values, self.size)?;
-        conditional.parents.clear();
-        conditional.parents.extend_from_slice(&self.variables[1..]);
-        conditional.columns.clear();
-        conditional.columns.extend_from_slice(&self.values[..STATE_DIM * stride]);
-        message.variables.clear();
-        message.variables.extend_from_slice(&self.variables[1..]);
-        message.values.clear();
-        for column in STATE_DIM..self.size {
-            message
-                .values
-                .extend_from_slice(&self.values[column * stride + STATE_DIM..(column + 1) * stride]);
-        }
-        Ok(())
+    /// The number at a row and a column, row not before column.
+    pub fn at(&mut self, row: usize, column: usize) -> &mut f64 {
+        let place = lower_place(self.side(), row / LANES, column / LANES);
+        &mut self.tiles[place].0[column % LANES][row % LANES]
     }
 }
 
-impl Conditional {
-    /// Side of the front it came from.
-    fn size(&self) -> usize {
-        self.columns.len() / STATE_DIM - 1
+/// Index of the tile at `row` and `column` in the lower half of a square of `side` tiles.
+#[inline(always)]
+pub(super) fn lower_place(side: usize, row: usize, column: usize) -> usize {
+    column * side - lower_len(column) + row
+}
+
+impl Front {
+    /// Starts over with nothing known; then later variables are included in `message`.
+    pub fn begin(&mut self) {
+        self.message.variables.clear();
     }
 
-    /// The node's δ, given the parents' in `solution[16..]`; written to `solution[..16]`.
-    pub fn solve(&self, solution: &mut [f64]) {
-        let size = self.size();
-        let stride = size + 1;
-        for column in (0..STATE_DIM).rev() {
-            let values = &self.columns[column * stride..(column + 1) * stride];
-            let mut sum = values[size];
-            for row in column + 1..size {
-                sum -= values[row] * solution[row];
-            }
-            solution[column] = sum / values[column];
+    /// All variables are included: zeroes H and g.
+    pub fn lay_out(&mut self) {
+        self.message.lay_out();
+        self.panel.clear();
+        self.panel.resize(NODE_TILES + self.message.side(), [Tile::ZERO; NODE_TILES]);
+        self.right = [[0.0; LANES]; NODE_TILES];
+    }
+
+    /// Room for so many tiles in a column, so that no more is asked for up to there.
+    pub fn reserve(&mut self, side: usize) {
+        reserve(&mut self.panel, side);
+        let of_message = side.saturating_sub(NODE_TILES);
+        reserve(&mut self.message.variables, of_message / POSE_TILES);
+        reserve(&mut self.message.tiles, lower_len(of_message));
+        reserve(&mut self.message.right, of_message);
+    }
+
+    /// Tiles in a column.
+    pub fn side(&self) -> usize {
+        self.panel.len()
+    }
+
+    /// First tile of the node at `stamp`, which must be included and not be this one.
+    pub fn first_of(&self, stamp: Stamp) -> usize {
+        NODE_TILES + self.message.first_of(stamp)
+    }
+
+    /// Adds a message, of which variable `node` is this front's own; the others are included.
+    pub fn add_message(&mut self, node: Stamp, message: &Message, places: &mut Vec<usize>) {
+        places.clear();
+        for variable in &message.variables {
+            let first = if variable.stamp == node { 0 } else { self.first_of(variable.stamp) };
+            places.extend(first..first + variable.tiles);
         }
+        self.add(places, &message.tiles, &message.right);
     }
 
-    /// The lower-triangular L (16×16) of a node without parents.
-    pub fn lower(&self) -> nalgebra::SMatrix<f64, STATE_DIM, STATE_DIM> {
-        let stride = self.size() + 1;
-        nalgebra::SMatrix::from_fn(
-            |row, column| {
-                if row >= column { self.columns[column * stride + row] } else { 0.0 }
-            },
-        )
+    /// Adds the lower half of a square of tiles, and the right-hand side, of which tile `i` belongs at
+    /// `places[i]`; places ascend.
+    pub fn add(&mut self, places: &[usize], tiles: &[Tile], right: &[Quad]) {
+        let Message { tiles: rest, right: rest_right, .. } = &mut self.message;
+        kernels::add(&mut self.panel, &mut self.right, rest, rest_right, places, tiles, right);
+    }
+
+    /// Eliminates the node: leaves its conditional and the message on the others.
+    pub fn eliminate(&mut self) -> Result<(), NotPositive> {
+        let Message { tiles, right, .. } = &mut self.message;
+        kernels::eliminate(&mut self.panel, &mut self.right, &mut self.scales, tiles, right)
+    }
+
+    /// The eliminated node's δ, given the parents' in `solution[NODE_TILES..]`; written before them.
+    pub fn solve(&self, solution: &mut [Quad]) {
+        kernels::solve(&self.panel, &self.right, &self.scales, solution);
+    }
+
+    /// Covariance of an eliminated node without parents: (L Lᵀ)⁻¹.
+    pub fn covariance(&self) -> StateMatrix {
+        let inverse = kernels::inverse(&self.panel, &self.scales);
+        let mut covariance = StateMatrix::zeros();
+        for (row, tiles) in inverse.iter().enumerate() {
+            for (column, tile) in tiles[..=row].iter().enumerate() {
+                let block = nalgebra::SMatrix::<f64, LANES, LANES>::from(tile.0);
+                let (row, column) = (row * LANES, column * LANES);
+                covariance.fixed_view_mut::<LANES, LANES>(column, row).copy_from(&block.transpose());
+                covariance.fixed_view_mut::<LANES, LANES>(row, column).copy_from(&block);
+            }
+        }
+        covariance
     }
 }
 
-/// Factorizes the first 16 columns of the (size + 1) × size lower triangle and subtracts their part from
-/// the rest. Cost: about 16 size²/2 multiplications.
-fn partial_cholesky(values: &mut [f64], size: usize) -> Result<(), NotPositive> {
-    let stride = size + 1;
-    for pivot in 0..STATE_DIM {
-        let (head, tail) = values.split_at_mut((pivot + 1) * stride);
-        let column = &mut head[pivot * stride..];
-        let diagonal = column[pivot];
-        if !(diagonal > 0.0 && diagonal.is_finite()) {
-            return Err(NotPositive);
-        }
-        let scale = 1.0 / diagonal.sqrt();
-        column[pivot..].iter_mut().for_each(|value| *value *= scale);
-        for (index, other) in tail.chunks_exact_mut(stride).enumerate() {
-            let row = pivot + 1 + index;
-            let factor = column[row];
-            if factor != 0.0 {
-                for (target, value) in other[row..].iter_mut().zip(&column[row..]) {
-                    *target -= factor * value;
-                }
-            }
-        }
-    }
-    Ok(())
-}
-
-/// Adds JᵀJ and −Jᵀr of whitened rows to a block of the layout of [`Message`] of side `N`.
-/// Each row of the Jacobian comes with its residual.
-pub(super) fn add_rows<const N: usize>(values: &mut [f64], rows: impl Iterator<Item = ([f64; N], f64)>) {
-    let stride = N + 1;
-    for (row, residual) in rows {
-        for column in 0..N {
-            let factor = row[column];
-            if factor == 0.0 {
-                continue;
-            }
-            let target = &mut values[column * stride..(column + 1) * stride];
-            for (value, other) in target[column..N].iter_mut().zip(&row[column..]) {
-                *value += factor * other;
-            }
-            target[N] -= factor * residual;
-        }
-    }
+/// Room for `len` values in all.
+pub(super) fn reserve<T>(values: &mut Vec<T>, len: usize) {
+    values.reserve(len.saturating_sub(values.len()));
 }

@@ -6,18 +6,25 @@
 //! Complexity and derivation: `README.md` beside this file. Which measurements to believe is not decided here.
 
 mod elimination;
+mod kernels;
 mod node;
+mod prediction;
+mod prior;
+mod solver;
+mod tile;
 
 use std::collections::VecDeque;
 
-use elimination::{Front, Message, POSE_DIM, TURN_DIM, Variable};
-use node::{Edge, Node};
+use node::{Edge, Node, Room};
+pub use prediction::{predict_covariance, predicted_position_covariance};
+use prior::Prior;
+use tile::Quad;
 
 use crate::factors::{BetweenFactor, ImuFactor, PoseFactor, PositionFactor, TurnFactor};
-use crate::lie::{Mat3, So3, Vec3};
+use crate::lie::Vec3;
 use crate::preintegration::{ImuNoise, Preintegration, SampleBuffer, propagate};
 use crate::sensors::ImuSample;
-use crate::state::{NavState, STATE_DIM, StateMatrix, StateVector, row};
+use crate::state::{NavState, StateMatrix};
 use crate::time::{Span, Stamp};
 
 /// Nodes are at least this far apart; a measurement closer to a node is attached to that node, and its
@@ -84,26 +91,40 @@ pub struct UpdateStats {
     pub iterations: usize,
     /// Nodes eliminated, over all iterations.
     pub eliminated: usize,
+    /// Nodes solved by back-substitution, over all iterations.
+    pub solved: usize,
     /// Nodes in the window afterwards.
     pub nodes: usize,
 }
 
 /// The window. See the room's first lines.
-#[derive(Clone)]
 pub struct Smoother {
     options: Options,
     samples: SampleBuffer,
     nodes: VecDeque<Box<Node>>,
     /// Nodes that left the window, kept for their buffers.
     spare: Vec<Box<Node>>,
-    /// Marginal information on the oldest nodes, and where it was linearized.
-    prior: Message,
-    prior_points: Vec<NavState>,
+    prior: Prior,
     /// Index of the oldest node whose elimination is out of date.
     touched: usize,
-    front: Front,
-    outgoing: Message,
+    /// Index of the oldest node whose δ is that of the last elimination; never behind `touched`.
+    solved: usize,
+    updates_since_sweep: usize,
+    room: Room,
+    /// The motion behind some node that was last asked for.
+    recent: Option<Recent>,
+    // Scratch, kept for its room.
+    solution: Vec<Quad>,
+    places: Vec<usize>,
     newest_covariance: StateMatrix,
+}
+
+/// A preintegrated motion and where it belongs.
+#[derive(Clone)]
+struct Recent {
+    from: Stamp,
+    to: Stamp,
+    motion: Preintegration,
 }
 
 impl Smoother {
@@ -114,11 +135,14 @@ impl Smoother {
             samples: SampleBuffer::default(),
             nodes: VecDeque::new(),
             spare: Vec::new(),
-            prior: Message::default(),
-            prior_points: Vec::new(),
+            prior: Prior::default(),
             touched: 0,
-            front: Front::default(),
-            outgoing: Message::default(),
+            solved: 0,
+            updates_since_sweep: 0,
+            room: Room::default(),
+            recent: None,
+            solution: Vec::new(),
+            places: Vec::new(),
             newest_covariance: StateMatrix::zeros(),
         }
     }
@@ -150,15 +174,9 @@ impl Smoother {
         }
         let node = self.new_node(stamp, state);
         self.nodes.push_back(node);
-        self.prior.variables.clear();
-        self.prior.variables.push(Variable { stamp, dim: STATE_DIM });
-        self.prior.values.clear();
-        for column in 0..STATE_DIM {
-            self.prior.values.extend((0..STATE_DIM).map(|row| information[(row, column)]));
-            self.prior.values.push(0.0);
-        }
-        self.prior_points.clear();
-        self.prior_points.push(state);
+        self.prior.begin(stamp, state, information);
+        self.recent = None;
+        self.solved = 0;
         self.touched = 0;
         self.samples.forget_before(stamp);
         self.update().map(|_| ())
@@ -209,6 +227,7 @@ impl Smoother {
 
     /// Puts a node at `stamp` behind the one at index `before`, splitting its link.
     fn insert(&mut self, before: usize, stamp: Stamp) -> Result<(), SmootherError> {
+        self.touch(before);
         let start = self.nodes[before].estimate();
         let from = self.nodes[before].stamp;
         let head = self.link(from, stamp, &start)?;
@@ -221,24 +240,39 @@ impl Smoother {
         node.link = tail;
         self.nodes[before].set_link(head);
         self.nodes.insert(before + 1, node);
-        self.touch(before);
         Ok(())
     }
 
-    fn link(&self, from: Stamp, to: Stamp, start: &NavState) -> Result<ImuFactor, SmootherError> {
-        let steps = self.samples.steps(from, to).ok_or(SmootherError::NotStarted)?;
-        let noise = &self.options.noise;
-        let motion = Preintegration::of_steps(steps, start.gyro_bias, start.accel_bias, noise);
-        ImuFactor::new(motion, noise).ok_or(SmootherError::NotDetermined)
+    fn link(&mut self, from: Stamp, to: Stamp, start: &NavState) -> Result<ImuFactor, SmootherError> {
+        let motion = self.motion(from, to, start).ok_or(SmootherError::NotStarted)?.clone();
+        ImuFactor::new(motion, &self.options.noise).ok_or(SmootherError::NotDetermined)
+    }
+
+    /// The motion between two stamps for the biases of `start`. A prediction and the node that is then made there
+    /// ask for the same.
+    fn motion(&mut self, from: Stamp, to: Stamp, start: &NavState) -> Option<&Preintegration> {
+        let known = self.recent.as_ref().is_some_and(|recent| {
+            (recent.from, recent.to) == (from, to)
+                && (recent.motion.gyro_bias, recent.motion.accel_bias) == (start.gyro_bias, start.accel_bias)
+        });
+        if !known {
+            let steps = self.samples.steps(from, to)?;
+            let noise = &self.options.noise;
+            let motion = Preintegration::of_steps(steps, start.gyro_bias, start.accel_bias, noise);
+            self.recent = Some(Recent { from, to, motion });
+        }
+        self.recent.as_ref().map(|recent| &recent.motion)
     }
 
     fn new_node(&mut self, stamp: Stamp, state: NavState) -> Box<Node> {
         let mut node = self.spare.pop().unwrap_or_else(|| Box::new(Node::new()));
-        node.reset(stamp, state);
+        node.reset(stamp, state, &self.room);
         node
     }
 
+    /// Something will change at a node: what follows from its older estimate is worked out before.
     fn touch(&mut self, index: usize) {
+        self.solve_back_to(index);
         self.touched = self.touched.min(index);
     }
 
@@ -255,8 +289,8 @@ impl Smoother {
     /// If there is no node at that stamp.
     pub fn add_position(&mut self, node: Stamp, factor: PositionFactor) -> Result<(), SmootherError> {
         let index = self.index_of(node)?;
-        self.nodes[index].positions.push(factor);
         self.touch(index);
+        self.nodes[index].add_position(factor);
         Ok(())
     }
 
@@ -266,8 +300,8 @@ impl Smoother {
     /// If there is no node at that stamp.
     pub fn add_pose(&mut self, node: Stamp, factor: PoseFactor) -> Result<(), SmootherError> {
         let index = self.index_of(node)?;
-        self.nodes[index].poses.push(factor);
         self.touch(index);
+        self.nodes[index].add_pose(factor);
         Ok(())
     }
 
@@ -300,219 +334,11 @@ impl Smoother {
     fn add_edge(&mut self, earlier: Stamp, later: Stamp, edge: Edge) -> Result<(), SmootherError> {
         debug_assert!(earlier < later, "an edge goes forward in time");
         let (from, to) = (self.index_of(earlier)?, self.index_of(later)?);
-        self.nodes[from].edges.push((later, edge));
+        self.touch(from);
+        self.nodes[from].add_edge(later, edge);
         let reached = self.nodes[to].reaches_back.map_or(earlier, |oldest| oldest.min(earlier));
         self.nodes[to].reaches_back = Some(reached);
-        self.touch(from);
         Ok(())
-    }
-
-    /// Brings the estimate up to date with everything added, and drops what is older than the lag.
-    ///
-    /// # Errors
-    /// [`SmootherError::NotDetermined`]: the window must be started anew.
-    pub fn update(&mut self) -> Result<UpdateStats, SmootherError> {
-        if self.nodes.is_empty() {
-            return Err(SmootherError::NotStarted);
-        }
-        let mut stats = UpdateStats::default();
-        while self.touched < self.nodes.len() {
-            stats.iterations += 1;
-            stats.eliminated += self.nodes.len() - self.touched;
-            self.eliminate()?;
-            self.solve();
-            if stats.iterations < self.options.iterations_max {
-                self.relinearize();
-            }
-        }
-        self.newest_covariance = self.covariance_of_newest()?;
-        self.marginalize();
-        stats.nodes = self.nodes.len();
-        Ok(stats)
-    }
-
-    /// Eliminates from the oldest touched node to the newest.
-    fn eliminate(&mut self) -> Result<(), SmootherError> {
-        if self.touched == 0 {
-            self.hand_prior_to_oldest();
-        }
-        for index in self.touched..self.nodes.len() {
-            self.assemble(index);
-            let node = &mut self.nodes[index];
-            self.front
-                .eliminate(&mut node.conditional, &mut self.outgoing)
-                .map_err(|_| SmootherError::NotDetermined)?;
-            if let Some(next) = self.nodes.get_mut(index + 1) {
-                std::mem::swap(&mut next.incoming, &mut self.outgoing);
-            }
-        }
-        self.touched = self.nodes.len();
-        Ok(())
-    }
-
-    /// Fills the front with all that ties the node at `index` to itself and to later ones.
-    fn assemble(&mut self, index: usize) {
-        let next = self.nodes.get(index + 1).map(|next| (next.stamp, next.linearization));
-        if let Some((_, linearization)) = &next {
-            self.nodes[index].linearize_link(linearization, &self.options.gravity);
-        }
-        let node = &self.nodes[index];
-        self.front.begin(node.stamp);
-        for variable in &node.incoming.variables {
-            self.front.include(variable.stamp, variable.dim);
-        }
-        if let Some((stamp, _)) = next {
-            self.front.include(stamp, STATE_DIM);
-        }
-        for (later, _) in &node.edges {
-            self.front.include(*later, POSE_DIM);
-        }
-        self.front.lay_out();
-        self.front.add_message(&node.incoming);
-        if let Some((stamp, _)) = next {
-            let (size, split) = Node::LINK_SHAPE;
-            let offsets = [0, self.front.offset(stamp)];
-            self.front.add_pair(offsets, split, size, &node.link_block);
-        }
-        if let Some(block) = node.pose_block() {
-            self.front.add_pair([0, 0], POSE_DIM, POSE_DIM, &block);
-        }
-        for (later, edge) in &node.edges {
-            let target = self
-                .nodes
-                .binary_search_by_key(later, |candidate| candidate.stamp)
-                .expect("an edge's later end outlives its earlier end");
-            let later_state = &self.nodes[target].linearization;
-            let offsets = [0, self.front.offset(*later)];
-            match edge {
-                Edge::Between(factor) => {
-                    let block = node.between_block(factor, later_state);
-                    self.front.add_pair(offsets, POSE_DIM, 2 * POSE_DIM, &block);
-                }
-                Edge::Turn(factor) => {
-                    let block = node.turn_block(factor, later_state);
-                    self.front.add_pair(offsets, STATE_DIM, TURN_DIM, &block);
-                }
-            }
-        }
-    }
-
-    /// The oldest node's incoming message: the prior, moved to where its variables are linearized now.
-    ///
-    /// With δ = Δ + J δ', Δ from the prior's point to the present one and J = diag(Jr⁻¹(Δφ), I):
-    /// H' = Jᵀ H J, g' = Jᵀ (g − H Δ).
-    fn hand_prior_to_oldest(&mut self) {
-        let size = self.prior.size();
-        let mut shift = Vec::with_capacity(size);
-        let mut jacobians = Vec::with_capacity(self.prior.variables.len());
-        for (variable, point) in self.prior.variables.iter().zip(&self.prior_points) {
-            let index = self.index_of(variable.stamp).expect("the prior's variables are in the window");
-            let moved = self.nodes[index].linearization.minus(point);
-            shift.extend_from_slice(&moved.as_slice()[..variable.dim]);
-            jacobians.push(So3::right_jacobian_inverse(&moved.fixed_rows::<3>(row::ROTATION).into_owned()));
-        }
-        let incoming = &mut self.nodes[0].incoming;
-        incoming.clone_from(&self.prior);
-        if shift.iter().all(|value| *value == 0.0) {
-            return;
-        }
-        let stride = size + 1;
-        let mut full = nalgebra::DMatrix::<f64>::from_fn(size, size, |r, c| {
-            let (low, high) = (r.max(c), r.min(c));
-            self.prior.values[high * stride + low]
-        });
-        let mut gradient =
-            nalgebra::DVector::<f64>::from_fn(size, |r, _| self.prior.values[r * stride + size]);
-        gradient -= &full * nalgebra::DVector::from_column_slice(&shift);
-        let mut offset = 0;
-        for (variable, jacobian) in self.prior.variables.iter().zip(&jacobians) {
-            let columns = full.columns(offset, 3) * jacobian;
-            full.columns_mut(offset, 3).copy_from(&columns);
-            let rows = jacobian.transpose() * full.rows(offset, 3);
-            full.rows_mut(offset, 3).copy_from(&rows);
-            let part: Vec3 = jacobian.transpose() * gradient.fixed_rows::<3>(offset);
-            gradient.fixed_rows_mut::<3>(offset).copy_from(&part);
-            offset += variable.dim;
-        }
-        for column in 0..size {
-            for row in column..size {
-                incoming.values[column * stride + row] = full[(row, column)];
-            }
-            incoming.values[column * stride + size] = gradient[column];
-        }
-    }
-
-    /// Back-substitution from the newest node to the oldest.
-    fn solve(&mut self) {
-        let mut solution = [0.0; 8 * STATE_DIM];
-        for index in (0..self.nodes.len()).rev() {
-            let conditional = &self.nodes[index].conditional;
-            let mut size = STATE_DIM;
-            for parent in &conditional.parents {
-                let found = self.index_of(parent.stamp).expect("parents are in the window");
-                solution[size..size + parent.dim]
-                    .copy_from_slice(&self.nodes[found].delta.as_slice()[..parent.dim]);
-                size += parent.dim;
-            }
-            conditional.solve(&mut solution[..size]);
-            self.nodes[index].delta = StateVector::from_column_slice(&solution[..STATE_DIM]);
-        }
-    }
-
-    /// Moves the linearization of every node that has gone too far from it, and touches all it is tied to.
-    fn relinearize(&mut self) {
-        for index in 0..self.nodes.len() {
-            let delta = &self.nodes[index].delta;
-            let limits = &self.options.relinearize;
-            let moved = (0..STATE_DIM).any(|row| delta[row].abs() > limits[row / 3]);
-            if !moved {
-                continue;
-            }
-            let node = &mut self.nodes[index];
-            node.linearization = node.estimate();
-            node.delta = StateVector::zeros();
-            node.link_is_linear = false;
-            let reached = node.reaches_back;
-            if index > 0 {
-                self.nodes[index - 1].link_is_linear = false;
-            }
-            let oldest_edge =
-                reached.map_or(index, |stamp| self.nodes.partition_point(|node| node.stamp < stamp));
-            // The prior ties all its variables to the oldest node.
-            let in_prior =
-                self.prior.variables.iter().any(|variable| variable.stamp == self.nodes[index].stamp);
-            let oldest = if in_prior { 0 } else { oldest_edge.min(index.saturating_sub(1)) };
-            self.touch(oldest);
-        }
-    }
-
-    fn covariance_of_newest(&self) -> Result<StateMatrix, SmootherError> {
-        let newest = self.nodes.back().ok_or(SmootherError::NotStarted)?;
-        let inverse = newest
-            .conditional
-            .lower()
-            .solve_lower_triangular(&StateMatrix::identity())
-            .ok_or(SmootherError::NotDetermined)?;
-        Ok(inverse.transpose() * inverse)
-    }
-
-    /// Drops nodes older than the lag; what they said of those that stay is the new prior.
-    fn marginalize(&mut self) {
-        let Some(newest) = self.nodes.back().map(|node| node.stamp) else { return };
-        while self.nodes.len() > 1 && newest - self.nodes[0].stamp > self.options.lag {
-            std::mem::swap(&mut self.prior, &mut self.nodes[1].incoming);
-            if let Some(node) = self.nodes.pop_front() {
-                self.spare.push(node);
-            }
-            self.touched -= 1;
-            self.prior_points.clear();
-            for variable in 0..self.prior.variables.len() {
-                let stamp = self.prior.variables[variable].stamp;
-                let index = self.index_of(stamp).expect("a message speaks of nodes in the window");
-                self.prior_points.push(self.nodes[index].linearization);
-            }
-        }
-        self.samples.forget_before(self.nodes[0].stamp);
     }
 
     /// Stamp and estimate of the newest node.
@@ -543,86 +369,62 @@ impl Smoother {
     }
 
     /// Stamps and estimates of all nodes, oldest first.
-    pub fn estimates(&self) -> impl Iterator<Item = (Stamp, NavState)> + '_ {
+    pub fn estimates(&mut self) -> impl Iterator<Item = (Stamp, NavState)> + '_ {
+        self.solve_back_to(0);
         self.nodes.iter().map(|node| (node.stamp, node.estimate()))
     }
 
     /// The state at any stamp of the window up to the newest sample, by the IMU from the last node before.
-    pub fn state_at(&self, stamp: Stamp) -> Option<NavState> {
-        let after = self.nodes.partition_point(|node| node.stamp <= stamp);
-        let node = &self.nodes[after.checked_sub(1)?];
+    pub fn state_at(&mut self, stamp: Stamp) -> Option<NavState> {
+        let before = self.nodes.partition_point(|node| node.stamp <= stamp).checked_sub(1)?;
+        self.solve_back_to(before);
+        let node = &self.nodes[before];
         let steps = self.samples.steps(node.stamp, stamp)?;
         Some(steps.fold(node.estimate(), |state, step| propagate(&state, &step, &self.options.gravity)))
     }
 
     /// State and covariance at a stamp. Behind the newest node the covariance grows with the IMU's noise;
     /// inside the window the newest node's stands in.
-    pub fn predict(&self, stamp: Stamp) -> Option<(NavState, StateMatrix)> {
+    pub fn predict(&mut self, stamp: Stamp) -> Option<(NavState, StateMatrix)> {
         let newest = self.nodes.back()?;
         if stamp <= newest.stamp {
             return Some((self.state_at(stamp)?, self.newest_covariance));
         }
-        let start = newest.estimate();
-        let steps = self.samples.steps(newest.stamp, stamp)?;
-        let motion = Preintegration::of_steps(steps, start.gyro_bias, start.accel_bias, &self.options.noise);
-        let covariance = predict_covariance(&motion, &start, &self.newest_covariance, &self.options.noise);
-        Some((motion.predict(&start, &self.options.gravity), covariance))
+        let (from, start) = (newest.stamp, newest.estimate());
+        let (gravity, noise, covariance) = (self.options.gravity, self.options.noise, self.newest_covariance);
+        let motion = self.motion(from, stamp, &start)?;
+        let covariance = predict_covariance(motion, &start, &covariance, &noise);
+        Some((motion.predict(&start, &gravity), covariance))
     }
 }
 
-/// Covariance of the state at the end of a motion: F P Fᵀ + Q, with the biases walking.
-pub fn predict_covariance(
-    motion: &Preintegration,
-    start: &NavState,
-    covariance: &StateMatrix,
-    noise: &ImuNoise,
-) -> StateMatrix {
-    let span = motion.span_s;
-    let rotation = start.rotation.matrix();
-    let mut transition = StateMatrix::identity();
-    let mut set = |row: usize, column: usize, block: &Mat3| {
-        transition.fixed_view_mut::<3, 3>(row, column).copy_from(block);
-    };
-    set(row::ROTATION, row::ROTATION, &motion.rotation.matrix().transpose());
-    set(row::ROTATION, row::GYRO_BIAS, &motion.rotation_by_gyro_bias);
-    set(row::POSITION, row::ROTATION, &(-rotation * crate::lie::hat(&motion.position)));
-    set(row::POSITION, row::VELOCITY, &(Mat3::identity() * span));
-    set(row::POSITION, row::GYRO_BIAS, &(rotation * motion.position_by_gyro_bias));
-    set(row::POSITION, row::ACCEL_BIAS, &(rotation * motion.position_by_accel_bias));
-    set(row::VELOCITY, row::ROTATION, &(-rotation * crate::lie::hat(&motion.velocity)));
-    set(row::VELOCITY, row::GYRO_BIAS, &(rotation * motion.velocity_by_gyro_bias));
-    set(row::VELOCITY, row::ACCEL_BIAS, &(rotation * motion.velocity_by_accel_bias));
-    let mut predicted = transition * covariance * transition.transpose();
-    // The motion's noise is written in imu_i: positions and velocities turn into the world.
-    let turns = [Mat3::identity(), rotation, rotation];
-    for block_row in 0..3 {
-        for block_column in 0..3 {
-            let block = turns[block_row]
-                * motion.covariance.fixed_view::<3, 3>(3 * block_row, 3 * block_column)
-                * turns[block_column].transpose();
-            let mut target = predicted.fixed_view_mut::<3, 3>(3 * block_row, 3 * block_column);
-            target += block;
+impl Clone for Smoother {
+    fn clone(&self) -> Self {
+        let mut copy = Self::new(self.options);
+        copy.clone_from(self);
+        copy
+    }
+
+    /// Nodes are copied into those that are there.
+    fn clone_from(&mut self, source: &Self) {
+        self.options = source.options;
+        self.samples.clone_from(&source.samples);
+        self.room = source.room;
+        while self.nodes.len() > source.nodes.len() {
+            self.spare.extend(self.nodes.pop_back());
         }
+        while self.nodes.len() < source.nodes.len() {
+            let node = self.spare.pop().unwrap_or_else(|| Box::new(Node::new()));
+            self.nodes.push_back(node);
+        }
+        self.nodes.iter_mut().zip(&source.nodes).for_each(|(node, source)| (**node).clone_from(source));
+        self.prior.clone_from(&source.prior);
+        self.touched = source.touched;
+        self.solved = source.solved;
+        self.updates_since_sweep = source.updates_since_sweep;
+        self.newest_covariance = source.newest_covariance;
+        self.recent = None;
     }
-    for axis in 0..3 {
-        predicted[(row::GYRO_BIAS + axis, row::GYRO_BIAS + axis)] +=
-            noise.gyroscope_random_walk.powi(2) * span;
-        predicted[(row::ACCEL_BIAS + axis, row::ACCEL_BIAS + axis)] +=
-            noise.accelerometer_random_walk.powi(2) * span;
-    }
-    predicted[(row::BASE_GYRO_BIAS, row::BASE_GYRO_BIAS)] += noise.base_gyroscope_random_walk.powi(2) * span;
-    (predicted + predicted.transpose()) * 0.5
-}
-
-/// Covariance (m²) in the world of a point fixed to the body at `lever_arm` (IMU frame, m).
-pub fn predicted_position_covariance(state: &NavState, covariance: &StateMatrix, lever_arm: &Vec3) -> Mat3 {
-    let by_rotation = -state.rotation.matrix() * crate::lie::hat(lever_arm);
-    let block = |row: usize, column: usize| covariance.fixed_view::<3, 3>(row, column).into_owned();
-    let cross = by_rotation * block(row::ROTATION, row::POSITION);
-    by_rotation * block(row::ROTATION, row::ROTATION) * by_rotation.transpose()
-        + cross
-        + cross.transpose()
-        + block(row::POSITION, row::POSITION)
 }
 
 #[cfg(test)]

@@ -6,9 +6,11 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 
+use super::node::LaterEdge;
 use super::*;
 use crate::frames::{Imu, Lidar, Pose};
-use crate::lie::Se3;
+use crate::lie::{Se3, So3};
+use crate::state::{STATE_DIM, StateVector, row};
 
 const NOISE: ImuNoise = ImuNoise {
     gyroscope_noise_density: 1.6e-4,
@@ -169,10 +171,10 @@ fn add_pose(smoother: &mut Smoother, truth: &[(ImuSample, NavState)], millis: i6
 }
 
 /// Gauss-Newton over the whole window at once: estimates, and covariance of the newest node.
-fn dense_solve(smoother: &Smoother, start: NavState) -> (Vec<NavState>, StateMatrix) {
+fn dense_solve(smoother: &mut Smoother, start: NavState) -> (Vec<NavState>, StateMatrix) {
+    let columns = STATE_DIM * smoother.nodes.len();
+    let mut states: Vec<NavState> = smoother.estimates().map(|(_, estimate)| estimate).collect();
     let nodes = &smoother.nodes;
-    let columns = STATE_DIM * nodes.len();
-    let mut states: Vec<NavState> = nodes.iter().map(|node| node.estimate()).collect();
     let mut covariance = StateMatrix::zeros();
     for _ in 0..8 {
         let mut rows: Vec<(Vec<(usize, f64)>, f64)> = Vec::new();
@@ -200,7 +202,7 @@ fn dense_solve(smoother: &Smoother, start: NavState) -> (Vec<NavState>, StateMat
                     rows.push((entries, linear.residual[row]));
                 }
             }
-            for factor in &node.positions {
+            for factor in node.positions.iter().map(|position| &position.factor) {
                 let linear = factor.linearize(&states[index]);
                 for row in 0..3 {
                     let entries =
@@ -208,7 +210,7 @@ fn dense_solve(smoother: &Smoother, start: NavState) -> (Vec<NavState>, StateMat
                     rows.push((entries, linear.residual[row]));
                 }
             }
-            for factor in &node.poses {
+            for factor in node.poses.iter().map(|pose| &pose.factor) {
                 let linear = factor.linearize(&states[index]);
                 for row in 0..6 {
                     let entries =
@@ -216,7 +218,7 @@ fn dense_solve(smoother: &Smoother, start: NavState) -> (Vec<NavState>, StateMat
                     rows.push((entries, linear.residual[row]));
                 }
             }
-            for (later, edge) in &node.edges {
+            for LaterEdge { later, edge, .. } in &node.edges {
                 let other = nodes.iter().position(|node| node.stamp == *later).expect("in the window");
                 let factor = match edge {
                     Edge::Between(factor) => factor,
@@ -265,7 +267,7 @@ fn dense_solve(smoother: &Smoother, start: NavState) -> (Vec<NavState>, StateMat
     (states, covariance)
 }
 
-fn assert_agrees(smoother: &Smoother, start: NavState, tolerance: f64) {
+fn assert_agrees(smoother: &mut Smoother, start: NavState, tolerance: f64) {
     let (dense, covariance) = dense_solve(smoother, start);
     for ((stamp, estimate), dense) in smoother.estimates().zip(&dense) {
         let error = estimate.minus(dense).amax();
@@ -302,7 +304,7 @@ fn window_with_overlapping_edges_agrees_with_a_dense_solve() {
         }
         smoother.update().expect("determined");
     }
-    assert_agrees(&smoother, start, 1e-7);
+    assert_agrees(&mut smoother, start, 1e-7);
     let (stamp, newest) = smoother.newest().expect("started");
     let error = newest.minus(&true_state(&truth, stamp));
     let information = smoother.newest_covariance().try_inverse().expect("positive definite");
@@ -324,12 +326,12 @@ fn late_measurements_in_any_order_lead_to_the_same_estimate() {
         }
         smoother
     };
-    let (in_order, late) = (solve(&millis), solve(&shuffled));
+    let (mut in_order, mut late) = (solve(&millis), solve(&shuffled));
     for ((stamp, a), (_, b)) in in_order.estimates().zip(late.estimates()) {
         assert!(a.minus(&b).amax() < 1e-6, "at {stamp}: {}", a.minus(&b));
     }
     assert_agrees(
-        &late,
+        &mut late,
         started(100.0, &truth, &mut Draw(ChaCha8Rng::seed_from_u64(2))).newest().expect("started").1,
         1e-7,
     );
