@@ -496,7 +496,7 @@ impl Updater {
         match &mut self.phase {
             Phase::Waiting(initializer) => initializer.take_known(),
             Phase::Running(running) => {
-                let smoother = running.graphs.active();
+                let smoother = running.graphs.active_mut();
                 let (stamp, state) = smoother.newest()?;
                 let lidar = running.lidar.newest().filter(|pose| self.lidar_trail.holds(pose.stamp));
                 let lidar = lidar.and_then(|pose| Some((pose, smoother.state_at(pose.stamp)?)));
