@@ -55,7 +55,7 @@ pub(super) const TIE_EVERY: Span = Span::from_millis(1_000);
 /// The first tie of a standstill spans so much: until it is there, the machine drifts as if it were driving.
 pub(super) const FIRST_TIE: Span = Span::from_millis(300);
 /// One sigma of a tie: rad (the encoder's steps and play), m (rocking of the chassis).
-pub(super) const TIE_SIGMA: [f64; 2] = [2.5e-4, 1.0e-3];
+pub(super) const TIE_SIGMA: [f64; 2] = [1.6e-4, 8.0e-4];
 
 /// How still a machine's IMU is at rest.
 #[derive(Clone, Copy, Debug)]
