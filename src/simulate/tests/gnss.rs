@@ -49,6 +49,28 @@ fn fixes_are_as_good_as_they_say_while_gnss_is_good() {
 }
 
 #[test]
+fn slow_errors_stay_alike_and_the_receiver_reports_what_it_is_told_to() {
+    let mut scenario = load("construction.toml");
+    scenario.file.gnss_condition.clear();
+    let gnss = &mut scenario.file.sensors.gnss;
+    gnss.slow_sigma_enu_m = [0.006; 3];
+    gnss.slow_time_s = 2.0;
+    gnss.reported_sigma_scale = 0.5;
+    let simulation = Simulation::new(&scenario, 0);
+    let fixes = left_fixes(&scenario, 0);
+    let reported = fixes[0].sigma_enu_m;
+    assert!((reported.x - 0.5 * 0.01).abs() < 1e-12, "half of 8 mm and 6 mm together: {reported}");
+    let errors: Vec<f64> = fixes.iter().map(|fix| error_of(&simulation, fix).x).collect();
+    let (_, sigma) = mean_and_deviation(&errors);
+    assert!((sigma / 0.01 - 1.0).abs() < 0.1, "{sigma}");
+    // A second apart, at 20 Hz, only the slow part is alike, by exp(-1/2).
+    let alike: f64 = errors.iter().zip(&errors[20..]).map(|(before, after)| before * after).sum();
+    let alike = alike / (errors.len() - 20) as f64;
+    let expected = 0.006_f64.powi(2) * (-0.5_f64).exp();
+    assert!((alike / expected - 1.0).abs() < 0.35, "{alike} for {expected}");
+}
+
+#[test]
 fn both_antennas_measure_and_arrive_together() {
     let arrivals: Vec<Arrival> = Simulation::new(&load("navigation.toml"), 0).collect();
     let of = |sensor| {
