@@ -50,6 +50,7 @@ fn started() -> Smoother {
         gyroscope_random_walk: 8.0e-6,
         accelerometer_random_walk: 6.0e-5,
         base_gyroscope_random_walk: 8.0e-6,
+        missed_part: [0.0; 2],
         gap_s: 0.05,
     };
     let options = Options::new(Span::from_seconds(LAG_S), Vec3::new(0.0, 0.0, -9.81), noise);
