@@ -164,6 +164,11 @@ pub struct Gnss {
     pub sigma_floor_m: f64,
     /// Reported sigmas above it are refused, m.
     pub sigma_max_m: f64,
+    /// What every fix of this receiver is off by for a while without reporting it, one sigma, m: orbit and troposphere
+    /// over a long baseline, multipath at a place. Innovations cannot show it.
+    pub slow_sigma_m: f64,
+    /// How long it stays alike, s.
+    pub slow_time_s: f64,
 }
 
 /// What is believed.
@@ -252,7 +257,7 @@ impl Default for LidarOdometry {
 
 impl Default for Gnss {
     fn default() -> Self {
-        Self { sigma_floor_m: 0.005, sigma_max_m: 0.2 }
+        Self { sigma_floor_m: 0.005, sigma_max_m: 0.2, slow_sigma_m: 0.0, slow_time_s: 10.0 }
     }
 }
 
@@ -378,6 +383,8 @@ impl Machine {
             gate: GateOptions {
                 sigma_floor_m: self.gnss.sigma_floor_m,
                 sigma_max_m: self.gnss.sigma_max_m,
+                slow_sigma_m: self.gnss.slow_sigma_m,
+                slow_time_s: self.gnss.slow_time_s,
                 speed_max: self.gate.speed_max_mps,
                 fixes_to_return: self.gate.fixes_to_return,
             },
@@ -423,6 +430,8 @@ impl Checked for Machine {
         positive("base_imu.gyroscope_random_walk", self.base_imu.gyroscope_random_walk)?;
         positive("lidar_odometry.increment_sigma_m", self.lidar_odometry.increment_sigma_m)?;
         positive("lidar_odometry.increment_sigma_deg", self.lidar_odometry.increment_sigma_deg)?;
+        within("gnss.slow_sigma_m", self.gnss.slow_sigma_m, 0.0, 10.0)?;
+        positive("gnss.slow_time_s", self.gnss.slow_time_s)?;
         positive("gnss.sigma_floor_m", self.gnss.sigma_floor_m)?;
         positive("gnss.sigma_max_m", self.gnss.sigma_max_m)?;
         positive("gate.speed_max_mps", self.gate.speed_max_mps)?;

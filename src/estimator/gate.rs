@@ -53,6 +53,10 @@ pub struct Options {
     pub sigma_floor_m: f64,
     /// Reported sigmas above it are refused, m.
     pub sigma_max_m: f64,
+    /// Part of every fix's error that changes slowly and that no fix reports, one sigma, m; and how slowly, s.
+    pub slow_sigma_m: f64,
+    /// Time over which the slow part stays alike, s.
+    pub slow_time_s: f64,
     /// m/s.
     pub speed_max: f64,
     /// Good fixes in a row that end an outage.
@@ -179,7 +183,11 @@ impl Gate {
             let white = sigma.min(WHITE_SIGMA_M.min(USUAL_SIGMA * usual));
             (white * white + (sigma * sigma - white * white) * alike).sqrt()
         });
-        usable.component_mul(&self.inflation.factors())
+        // A slow part that the configuration knows of (a first-order Gauss-Markov process of time constant τ): seen
+        // n = 1 + 2 τ / T times in its own time, it must weigh as one.
+        let slow_alike = 1.0 + 2.0 * self.options.slow_time_s / self.period_s.max(1.0e-3);
+        let slow = self.options.slow_sigma_m * slow_alike.sqrt();
+        usable.component_mul(&self.inflation.factors()).map(|sigma| libm::hypot(sigma, slow))
     }
 
     /// Why the reported sigmas are too large, if they are.
@@ -343,8 +351,14 @@ impl Gate {
 mod tests {
     use super::*;
 
-    const OPTIONS: Options =
-        Options { sigma_floor_m: 0.005, sigma_max_m: 0.2, speed_max: 5.0, fixes_to_return: 10 };
+    const OPTIONS: Options = Options {
+        sigma_floor_m: 0.005,
+        sigma_max_m: 0.2,
+        slow_sigma_m: 0.0,
+        slow_time_s: 10.0,
+        speed_max: 5.0,
+        fixes_to_return: 10,
+    };
 
     fn candidate(index: i64, position: Vec3, sigma_m: f64) -> Candidate {
         Candidate {

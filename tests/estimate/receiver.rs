@@ -1,6 +1,6 @@
 //! Receivers that are not as good as they say.
 
-use holdfast::estimator::Estimator;
+use holdfast::estimator::{Estimator, Options};
 use holdfast::simulate::{Scenario, Simulation};
 use holdfast::time::Stamp;
 
@@ -23,6 +23,15 @@ struct Consistency {
 
 /// The construction task with the sky open, whose fixes have `sigma_m` up to a factor for the height.
 fn consistency(sigma_m: f64, reported_sigma_scale: f64) -> Consistency {
+    consistency_of(sigma_m, reported_sigma_scale, |_, _| {})
+}
+
+/// The same with the scenario and the estimator's options changed.
+fn consistency_of(
+    sigma_m: f64,
+    reported_sigma_scale: f64,
+    change: impl Fn(&mut Scenario, &mut Options),
+) -> Consistency {
     let (mut squared, mut normalized, mut inflation) = (0.0, [0.0; 3], [0.0; 2]);
     let (mut count, mut runs) = (0.0, 0.0);
     for seed in SEEDS {
@@ -33,8 +42,10 @@ fn consistency(sigma_m: f64, reported_sigma_scale: f64) -> Consistency {
         scenario.file.sensors.gnss.sigma_enu_m = [sigma_m, sigma_m, 1.75 * sigma_m];
         scenario.file.sensors.gnss.reported_sigma_scale = reported_sigma_scale;
         for machine in 0..scenario.machines.len() {
+            let mut options = scenario.machines[machine].estimator_options();
+            change(&mut scenario, &mut options);
             let mut simulation = Simulation::new(&scenario, machine).ending_at(Stamp::from_seconds(END_S));
-            let mut estimator = Estimator::new(simulation.machine().estimator_options());
+            let mut estimator = Estimator::new(options);
             while let Some(arrival) = simulation.next() {
                 let Some(estimate) = estimator.push(&arrival) else { continue };
                 if estimate.stamp < Stamp::from_seconds(LEARNED_S) {
@@ -77,4 +88,24 @@ fn receiver_that_is_too_sure_is_found_out() {
         assert!(right, "{told:?}");
         assert!(told.rmse_cm < 1.15 * honest.rmse_cm, "{told:?} for {honest:?}");
     }
+}
+
+#[test]
+fn slow_errors_that_the_configuration_knows_of_count_once() {
+    // Innovations do not show them: the estimate follows.
+    let slow = |known: bool| {
+        consistency_of(0.008, 1.0, move |scenario, options| {
+            scenario.file.sensors.gnss.slow_sigma_enu_m = [0.005, 0.005, 0.009];
+            scenario.file.sensors.gnss.slow_time_s = 10.0;
+            if known {
+                (options.gate.slow_sigma_m, options.gate.slow_time_s) = (0.006, 10.0);
+            }
+        })
+    };
+    let (unknown, known) = (slow(false), slow(true));
+    println!("slow errors, unknown: {unknown:.3?}; known: {known:.3?}");
+    assert!(unknown.nees.iter().any(|nees| *nees > 3.0), "else this test shows nothing: {unknown:?}");
+    assert!(known.nees.iter().all(|nees| (0.5..1.6).contains(nees)), "{known:?}");
+    // Fixes that count less average less of their white part: that is the price.
+    assert!(known.rmse_cm < 1.4 * unknown.rmse_cm, "{known:?} for {unknown:?}");
 }
