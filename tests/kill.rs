@@ -300,8 +300,15 @@ fn site_killed_while_it_recovers_has_lost_nothing_and_recovers_at_the_next_start
         payload.iter_mut().for_each(|byte| *byte = dice.below(256) as u8);
         let at = start + Span::from_millis(sequence as i64);
         let machine = "walker-1".to_owned();
-        let message =
-            Recorded { machine, topic: Topic::Event, sequence, received: at, sent: at, payload: &payload };
+        let message = Recorded {
+            machine,
+            topic: Topic::Event,
+            boot: None,
+            sequence,
+            received: at,
+            sent: at,
+            payload: &payload,
+        };
         writer.write(&message).expect("written");
     }
     writer.sync().expect("synced");

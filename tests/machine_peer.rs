@@ -46,6 +46,7 @@ impl Recording {
             let message = Recorded {
                 machine: id.to_owned(),
                 topic: Topic::Sensor(arrival.reading.sensor()),
+                boot: None,
                 sequence: sequence as u64,
                 received: arrival.arrival,
                 sent: arrival.arrival,

@@ -5,8 +5,17 @@
 //! another kind). `log_time` is when the recorder received a message, `publish_time` when the machine sent
 //! it, which for a reading is when it arrived at the machine. This room touches files, but reads no clock:
 //! the caller gives the time. Which sessions there are is the site's business.
+//!
+//! A topic has a channel for each boot of its machine, for each boot counts its messages anew. The files of a
+//! session agree on the numbers of their channels, so that they can be put one after the other as they are.
 
+mod check;
+mod complete;
+mod encode;
+mod gather;
+mod index;
 mod journal;
+mod merge;
 mod read;
 mod recover;
 mod scan;
@@ -17,15 +26,19 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use crate::time::Stamp;
-use crate::wire::Topic;
+use crate::wire::{BootId, Topic};
 
+pub use check::{Checked, Checker, Missing, Stream};
 pub use journal::{BootRun, read_live_runs};
+pub use merge::{Piece, merge};
 pub use read::{Arrivals, Messages, machines, read_arrivals, read_messages};
 pub use recover::{inspect, recover};
-pub use write::{RecordWriter, SYNC_EVERY};
+pub use write::{ChannelBook, RecordWriter, SYNC_EVERY};
 
 /// Name of the metadata record that says how a file was recovered.
 const RECOVERY: &str = "holdfast.recovery";
+/// In a channel's metadata: the boot that counts its messages.
+const BOOT: &str = "boot";
 
 /// A message to record, or out of a recording.
 #[derive(Clone, Debug, PartialEq)]
@@ -34,7 +47,9 @@ pub struct Recorded<P> {
     pub machine: String,
     /// What it says.
     pub topic: Topic,
-    /// The machine's count of this topic; the file keeps its lower 32 bits.
+    /// The run of the machine that counts; `None` if nobody told. Each has channels of its own.
+    pub boot: Option<BootId>,
+    /// The machine's count of this topic since the boot; the file keeps its lower 32 bits.
     pub sequence: u64,
     /// When the recorder received it.
     pub received: Stamp,
@@ -125,6 +140,14 @@ pub enum RecordError {
     Unfinished {
         /// Which file.
         path: PathBuf,
+    },
+    /// It cannot be put together with the others of its session.
+    #[error("{}: cannot be put together with the others: {reason}", path.display())]
+    Apart {
+        /// Which file.
+        path: PathBuf,
+        /// What does not fit.
+        reason: &'static str,
     },
     /// A message cannot be used.
     #[error("{}: {topic} of {machine}, message {sequence}: {source}", path.display())]

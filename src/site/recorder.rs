@@ -227,6 +227,7 @@ impl Session {
         writer.write(&Recorded {
             machine: inbound.machine.to_string(),
             topic: inbound.topic,
+            boot: Some(boot),
             sequence: inbound.attachment.sequence,
             received: inbound.received,
             sent: inbound.attachment.sent,
