@@ -63,6 +63,8 @@ pub struct SiteDescription {
     pub id: String,
     /// For people.
     pub name: String,
+    /// IANA name of its time zone.
+    pub time_zone: String,
     /// Where the site frame is tied to the earth.
     pub origin: Geodetic,
     /// Version of the site server.
@@ -228,6 +230,7 @@ impl Fleet {
             id: self.site.id.clone(),
             name: self.site.name.clone(),
             world: WorldView::from(self.site.origin),
+            time_zone: self.site.time_zone.clone(),
             software: self.site.software.clone(),
         }
     }

@@ -56,6 +56,8 @@ pub struct SiteView {
     pub id: String,
     /// For people.
     pub name: String,
+    /// IANA name of the time zone in which the site's days and shifts begin.
+    pub time_zone: String,
     /// Origin of the site frame.
     pub world: WorldView,
     /// Version of the site server.

@@ -53,10 +53,11 @@ pub struct Checked {
 
 impl Checker {
     /// Reads a whole file: the checksums of its chunks, of its data and of its end, its indexes, and its counts.
+    /// `tell` hears how many bytes were read.
     ///
     /// # Errors
     /// [`RecordError`] if the file cannot be read, is no MCAP file or was not closed.
-    pub fn check(&mut self, path: &Path) -> Result<Checked, RecordError> {
+    pub fn check(&mut self, path: &Path, mut tell: impl FnMut(u64)) -> Result<Checked, RecordError> {
         let summary = inspect(path)?;
         let unfinished = || RecordError::Unfinished { path: path.to_owned() };
         let end = file_end(path)?.ok_or_else(unfinished)?;
@@ -73,7 +74,7 @@ impl Checker {
                 }
             }
         };
-        let found = match gather(&mut scanner, &mut visit)? {
+        let found = match gather(&mut scanner, &mut visit, &mut tell)? {
             Ok(found) => found,
             Err(damage) => return Ok(Checked { summary, chunks: 0, faults: vec![damage] }),
         };

@@ -18,7 +18,7 @@ use super::{RecordError, encode, file_error};
 /// Completes the file; false if it is damaged within, and nothing was done.
 pub(super) fn complete(path: &Path) -> Result<bool, RecordError> {
     let mut scanner = Scanner::open(path)?;
-    let Ok(mut found) = gather(&mut scanner, &mut |_, _| {})? else { return Ok(false) };
+    let Ok(mut found) = gather(&mut scanner, &mut |_, _| {}, &mut |_| {})? else { return Ok(false) };
     let mut tail = Vec::new();
     if let Some(mut open) = found.unindexed {
         for (channel_id, entries) in &open.places {

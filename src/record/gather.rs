@@ -35,11 +35,13 @@ pub(super) struct OpenChunk {
     crc: Hasher,
 }
 
-/// Reads up to the end of the data, or of what is whole; each message is handed to `visit`. The inner error says
-/// what is damaged within, so that what comes after cannot be taken as it is.
+/// Reads up to the end of the data, or of what is whole; each message is handed to `visit`, and `tell` hears how
+/// many bytes were read. The inner error says what is damaged within, so that what comes after cannot be taken as
+/// it is.
 pub(super) fn gather(
     scanner: &mut Scanner,
     visit: &mut dyn FnMut(&Index, &MessageHeader),
+    tell: &mut dyn FnMut(u64),
 ) -> Result<Result<Gathered, String>, RecordError> {
     let mut crc = Hasher::new();
     crc.update(MAGIC);
@@ -66,6 +68,7 @@ pub(super) fn gather(
         file.crc.update(&(raw.body.len() as u64).to_le_bytes());
         file.crc.update(&raw.body);
         file.end = raw.end();
+        tell(file.end);
         if let Err(what) = file.take(record, &raw, &mut open, visit) {
             return Ok(Err(format!("the {what} at byte {} is damaged", raw.at)));
         }

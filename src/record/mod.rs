@@ -82,7 +82,8 @@ impl FileState {
         }
     }
 
-    fn from_name(name: &str) -> Option<Self> {
+    /// The state of that name.
+    pub fn from_name(name: &str) -> Option<Self> {
         [FileState::Complete, FileState::Recovered, FileState::Truncated]
             .into_iter()
             .find(|state| state.name() == name)
@@ -173,6 +174,17 @@ pub enum RecordError {
         /// Messages that were found.
         found: u64,
     },
+}
+
+impl RecordError {
+    /// What the system says, if it was the system that refused.
+    pub fn system(&self) -> Option<&std::io::Error> {
+        match self {
+            RecordError::File { source, .. }
+            | RecordError::Mcap { source: mcap::McapError::Io(source), .. } => Some(source),
+            _ => None,
+        }
+    }
 }
 
 fn file_error<'a>(path: &'a Path, what: &'static str) -> impl Fn(std::io::Error) -> RecordError + 'a {

@@ -402,7 +402,7 @@ fn files_of_a_session_are_one_file_whose_index_is_right() {
     std::fs::write(&merged, loaded.concat()).expect("write");
 
     let mut checker = Checker::default();
-    let checked = checker.check(&merged).expect("check");
+    let checked = checker.check(&merged, |_| {}).expect("check");
     assert_eq!(checked.faults, Vec::<String>::new());
     assert_eq!(checked.summary.state, FileState::Truncated, "as the worst of them");
     let parts = paths.iter().map(|path| inspect(path).expect("proper"));
@@ -443,17 +443,17 @@ fn check_finds_every_damage_and_counts_what_is_missing() {
     let (_folder, paths) = rolled("check");
     let mut checker = Checker::default();
     for path in &paths {
-        let checked = checker.check(path).expect("check");
+        let checked = checker.check(path, |_| {}).expect("check");
         assert_eq!((checked.faults.len(), checked.summary.state), (0, FileState::Complete));
     }
     assert_eq!((checker.missing(), checker.repeated()), (vec![], vec![]));
     let mut without = Checker::default();
-    without.check(&paths[0]).expect("check");
-    without.check(&paths[2]).expect("check");
+    without.check(&paths[0], |_| {}).expect("check");
+    without.check(&paths[2], |_| {}).expect("check");
     let stream =
         Stream { machine: "b".to_owned(), boot: Some(BootId(1)), topic: recorded("b", 0, &imu(0)).topic };
     assert_eq!(without.missing(), [Missing { stream: stream.clone(), messages: 300, gaps: 1 }]);
-    without.check(&paths[2]).expect("check");
+    without.check(&paths[2], |_| {}).expect("check");
     assert!(without.repeated().contains(&(stream, 300)));
 
     // Every byte counts, apart from the length of the library's name and the like, which make it another file.
@@ -464,7 +464,7 @@ fn check_finds_every_damage_and_counts_what_is_missing() {
         let mut damaged = bytes.clone();
         damaged[at] ^= 0x10;
         std::fs::write(path, &damaged).expect("damage");
-        let whole = Checker::default().check(path).is_ok_and(|checked| checked.faults.is_empty());
+        let whole = Checker::default().check(path, |_| {}).is_ok_and(|checked| checked.faults.is_empty());
         assert!(!whole, "byte {at} of {}", bytes.len());
         found += 1;
     }

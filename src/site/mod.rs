@@ -5,17 +5,16 @@
 //! ```text
 //! Zenoh callbacks ── try_send ─▶ aggregator (owns the fleet) ── newest frame ─▶ API, live clients, metrics
 //!        │                                                                          ▲
-//!        └────────── try_send ─▶ recorder thread (owns the file) ──── progress ─────┘
+//!        └────────── try_send ─▶ recorder thread (room `sessions`) ── progress ─────┘
 //! ```
 //! Nothing waits for something behind it: full channels drop and count, live clients get the newest frame.
 
 mod aggregator;
-mod catalogue;
 mod clock;
 mod counters;
 mod http;
 mod inlet;
-mod recorder;
+mod sessions;
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -29,10 +28,9 @@ use tokio::task::JoinHandle;
 use crate::config;
 use crate::fleet::{Fleet, SiteDescription};
 use crate::link;
-use catalogue::Catalogue;
 use clock::SiteClock;
 use counters::Counters;
-use recorder::Recorder;
+use sessions::{Catalogue, Recorder};
 
 /// Messages between the callbacks and the aggregator: more than a second of forty machines. When it is full,
 /// new messages are dropped, which the gap counters show.
@@ -112,19 +110,22 @@ impl Site {
             id: config.id.clone(),
             name: config.display_name().to_owned(),
             origin: config.world.site_frame().origin(),
+            time_zone: config.time_zone.clone(),
             software: env!("CARGO_PKG_VERSION").to_owned(),
         };
         let (session, endpoints) = inlet::open(config).await?;
-        let catalogue = Arc::new(Catalogue::new(config.record.directory.join("sessions")));
-        let recorder = match config.record.enabled {
-            true => match Recorder::start(config, &catalogue, clock, Arc::clone(&counters)) {
-                Ok(recorder) => Some(recorder),
-                Err(error) => {
-                    link::close(session).await;
-                    return Err(error);
-                }
-            },
-            false => None,
+        let folder = config.record.directory.join("sessions");
+        let recording = match config.record.enabled {
+            true => Recorder::start(config, folder, clock, Arc::clone(&counters))
+                .map(|recorder| (recorder.catalogue(), Some(recorder))),
+            false => Catalogue::visit(folder).map(|catalogue| (Arc::new(catalogue), None)),
+        };
+        let (catalogue, recorder) = match recording {
+            Ok(recording) => recording,
+            Err(error) => {
+                link::close(session).await;
+                return Err(error);
+            }
         };
 
         let (message_sender, messages) = mpsc::channel(MESSAGES_QUEUED);
@@ -151,6 +152,7 @@ impl Site {
             session: session.clone(),
             record_directory: config.record.enabled.then(|| config.record.directory.clone()),
             recorder: recorder.as_ref().map(Recorder::progress),
+            recorder_inbox: recorder.as_ref().map(Recorder::inbox),
             clock,
             stopped: stopped.clone(),
         };

@@ -18,9 +18,9 @@ use prometheus_client::registry::Registry;
 
 use super::Shared;
 use super::problem::Problem;
-use super::ready::disk_free_bytes;
 use crate::fleet::{MachineView, Presence};
 use crate::site::counters::get;
+use crate::site::sessions::{RecordingState, disk_free_bytes};
 use crate::state::GnssState;
 
 type Labels = Vec<(&'static str, String)>;
@@ -127,6 +127,17 @@ fn site(registry: &mut Registry, shared: &Shared) {
             "recording_bytes",
             "Recorded since the start",
             ConstCounter::new(progress.total_bytes),
+        );
+        let paused = i64::from(progress.state == RecordingState::Paused);
+        registry.register(
+            "recording_paused",
+            "1 if what arrives should be recorded, but cannot",
+            ConstGauge::new(paused),
+        );
+        registry.register(
+            "recording_missed",
+            "Messages that came while the recording was paused",
+            ConstCounter::new(progress.missed),
         );
         registry.register(
             "recording_unsynced_seconds",
