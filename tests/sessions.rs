@@ -273,7 +273,8 @@ async fn lost_or_damaged_database_is_made_anew_from_the_files_with_what_people_w
         assert!(database.is_file());
         assert!(folder.0.join("sessions").join(&id).join("session.json").is_file());
     }
-    // Deleted by hand: it is gone from the list as well.
+    // Deleted by hand: it is gone from the list as well. Ids are seconds: a session of the same one would have it.
+    tokio::time::sleep(Duration::from_millis(1_100)).await;
     std::fs::remove_dir_all(folder.0.join("sessions").join(&id)).expect("removed");
     let site = Site::start(&config).await.expect("starts");
     wait_until("gone", async || session(site.address(), &id).await == Value::Null).await;
