@@ -64,7 +64,11 @@ export function machineView(changes: Partial<MachineView> = {}): MachineView {
 }
 
 export function fleetView(machines: MachineView[]): FleetView {
-  return { site: { id: "site", name: "Site", world: WORLD, software: "0.1.0" }, time: TIME, machines };
+  return {
+    site: { id: "site", name: "Site", time_zone: "UTC", world: WORLD, software: "0.1.0" },
+    time: TIME,
+    machines,
+  };
 }
 
 export function snapshot(machines: MachineView[]): Snapshot {
