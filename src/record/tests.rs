@@ -364,6 +364,8 @@ fn run_ends_where_something_is_missing_and_says_what() {
         let gap = runs[1].gap.as_ref().expect(name);
         assert!(gap.contains(expected), "{name}: {gap}");
     }
+}
+
 /// Three files of one session, as a writer leaves them that goes on in the next file.
 fn rolled(name: &str) -> (Folder, Vec<PathBuf>) {
     let folder = Folder::new(name);

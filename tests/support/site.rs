@@ -126,6 +126,7 @@ impl Machine {
                 mode: Mode::Main,
                 waits_for: None,
                 gnss: GnssState::Fixed,
+                gnss_inflation: [1.0, 1.0],
                 position_sigma_m: Some(0.02),
                 heading_sigma_deg: Some(0.1),
                 worst_test_ratio: 0.2,
