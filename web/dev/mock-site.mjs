@@ -125,6 +125,7 @@ function machine(id, now_ms) {
         position_sigma_m: sigma,
         heading_sigma_deg: 0.1,
         worst_test_ratio: 0.31,
+        gnss_inflation: [1, 1],
         worst_test_sensor: "gnss_left",
         sensors: [
           sensor("imu", 100, seconds),

@@ -175,6 +175,7 @@ const health = object<Health>({
   mode: oneOf(MODES),
   waits_for: nullable(text),
   gnss: oneOf(GNSS_STATES),
+  gnss_inflation: list(number),
   position_sigma_m: nullable(number),
   heading_sigma_deg: nullable(number),
   worst_test_ratio: number,

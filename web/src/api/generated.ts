@@ -279,6 +279,11 @@ export interface components {
             accel_bias: number[];
             /** @description State of the fixes. */
             gnss: components["schemas"]["GnssState"];
+            /**
+             * @description What the receiver's sigmas are multiplied by, since innovations showed that it is surer than it should be:
+             *     horizontal, vertical; 1 is as reported.
+             */
+            gnss_inflation?: number[];
             /** @description Gyro bias, rad/s, in the IMU frame. */
             gyro_bias: number[];
             /**

@@ -103,6 +103,8 @@ export interface Health {
   mode: Mode;
   waits_for: string | null;
   gnss: GnssState;
+  /** Of the reported sigmas, horizontal and vertical; 1 is as reported. */
+  gnss_inflation: readonly number[];
   position_sigma_m: number | null;
   heading_sigma_deg: number | null;
   /** Over 1 was refused. */
