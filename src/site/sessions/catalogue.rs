@@ -23,6 +23,17 @@ pub(in crate::site) struct Catalogue {
     is_visitor: bool,
 }
 
+/// Which files are to be recovered, if they were not closed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Recovery {
+    /// None: they may be somebody else's.
+    Forbidden,
+    /// Those that were changed since they were looked at.
+    Changed,
+    /// Also those that could not be recovered before.
+    All,
+}
+
 /// Where a session's bytes are.
 #[derive(Clone, Debug)]
 pub(in crate::site) struct Located {
@@ -62,7 +73,7 @@ impl Catalogue {
     /// All sessions, newest first.
     pub fn list(&self, current: Option<&Progress>) -> Vec<SessionView> {
         if self.is_visitor {
-            self.reconcile(false, &|| false);
+            self.reconcile(Recovery::Forbidden, &|| false);
         }
         let entries = self.with(|database| database.entries(None));
         let details =
@@ -76,7 +87,7 @@ impl Catalogue {
             return None;
         }
         if self.is_visitor {
-            self.reconcile(false, &|| false);
+            self.reconcile(Recovery::Forbidden, &|| false);
         }
         let entry = self.with(|database| database.entries(Some(id))).remove(id)?;
         SessionDetail::of(id, entry, current)
@@ -141,9 +152,9 @@ impl Catalogue {
         self.with(|database| database.put_part(id, number, &part));
     }
 
-    /// Brings the database in line with the files, which are right; `recover` those that were not closed. Looks
-    /// only into what was changed, and leaves the running session alone.
-    pub(super) fn reconcile(&self, recover: bool, is_ended: &dyn Fn() -> bool) {
+    /// Brings the database in line with the files, which are right. Looks only into what was changed, and leaves
+    /// the running session alone.
+    pub(super) fn reconcile(&self, recovery: Recovery, is_ended: &dyn Fn() -> bool) {
         let known = self.with(|database| database.entries(None));
         let ids = self.folder.ids();
         for id in known.keys().filter(|id| ids.binary_search(id).is_err() && !self.is_running(id)) {
@@ -178,12 +189,13 @@ impl Catalogue {
             }
             for (number, look) in parts {
                 let before = known.and_then(|known| known.parts.get(&number));
-                let is_known =
-                    before.is_some_and(|part| part.look == look && (part.summary.is_some() || !recover));
+                let is_known = before.is_some_and(|part| {
+                    part.look == look && (part.summary.is_some() || recovery != Recovery::All)
+                });
                 if is_known || is_ended() {
                     continue;
                 }
-                let summary = self.read(&self.folder.part(&id, number), recover);
+                let summary = self.read(&self.folder.part(&id, number), recovery != Recovery::Forbidden);
                 let look = self.folder.parts(&id).remove(&number).unwrap_or(look);
                 self.with(|database| {
                     database.put_part(&id, number, &Part { look, summary: summary.clone() })
@@ -221,11 +233,11 @@ impl Catalogue {
         let mut candidates = Vec::new();
         let mut running_bytes = 0;
         for (id, entry) in self.with(|database| database.entries(None)) {
-            let bytes = entry.parts.values().map(|part| part.look.bytes).sum();
             if self.is_running(&id) {
-                running_bytes = bytes;
+                running_bytes = self.folder.parts(&id).values().map(|look| look.bytes).sum();
                 continue;
             }
+            let bytes = entry.parts.values().map(|part| part.look.bytes).sum();
             let spans = entry.parts.values().filter_map(|part| part.summary.as_ref()?.span);
             let ended = spans.map(|(_, last)| last).max().or_else(|| super::folder::started(&id));
             // Without any time it is not ours to judge.

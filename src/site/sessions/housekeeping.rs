@@ -7,7 +7,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use super::catalogue::Catalogue;
+use super::catalogue::{Catalogue, Recovery};
 use super::retention::Retention;
 use crate::site::clock::SiteClock;
 
@@ -17,9 +17,9 @@ const EVERY: Duration = Duration::from_secs(60);
 /// The thread.
 pub(super) struct Housekeeping {
     /// Nothing goes through: dropped to end the thread.
-    _ended: SyncSender<()>,
+    ended: SyncSender<()>,
     is_ended: Arc<AtomicBool>,
-    _thread: JoinHandle<()>,
+    thread: JoinHandle<()>,
 }
 
 impl Housekeeping {
@@ -37,14 +37,17 @@ impl Housekeeping {
             run(&catalogue, retention, clock, &ended, &flag);
             drop(lock);
         })?;
-        Ok(Self { _ended: ended_sender, is_ended, _thread: thread })
+        Ok(Self { ended: ended_sender, is_ended, thread })
     }
-}
 
-impl Drop for Housekeeping {
-    /// Not waited for: a recovery that is cut short by the end of the process is done again at the next start.
-    fn drop(&mut self) {
+    /// Waits for the file that is being recovered, if one is. If the process ends before, the next start recovers
+    /// it.
+    pub fn finish(self) {
         self.is_ended.store(true, Ordering::Relaxed);
+        drop(self.ended);
+        if self.thread.join().is_err() {
+            tracing::error!("housekeeping ended before it was asked to");
+        }
     }
 }
 
@@ -57,7 +60,7 @@ fn run(
 ) {
     let is_ended = || is_ended.load(Ordering::Relaxed);
     catalogue.folder().sweep();
-    catalogue.reconcile(true, &is_ended);
+    catalogue.reconcile(Recovery::All, &is_ended);
     while !is_ended() {
         let (candidates, running_bytes) = catalogue.candidates();
         for (id, why) in retention.expired(&candidates, running_bytes, clock.now()) {
@@ -67,7 +70,7 @@ fn run(
             }
         }
         match ended.recv_timeout(EVERY) {
-            Err(RecvTimeoutError::Timeout) => catalogue.reconcile(false, &is_ended),
+            Err(RecvTimeoutError::Timeout) => catalogue.reconcile(Recovery::Changed, &is_ended),
             _ => return,
         }
     }

@@ -87,7 +87,7 @@ pub(in crate::site) struct Recorder {
     progress: watch::Receiver<Progress>,
     catalogue: Arc<Catalogue>,
     thread: JoinHandle<()>,
-    _housekeeping: Housekeeping,
+    housekeeping: Housekeeping,
     /// Held until the end, by housekeeping too.
     _lock: Arc<File>,
 }
@@ -128,7 +128,7 @@ impl Recorder {
             clock,
         )
         .map_err(|error| failed(error.to_string()))?;
-        Ok(Self { inbox, progress, catalogue, thread, _housekeeping: housekeeping, _lock: lock })
+        Ok(Self { inbox, progress, catalogue, thread, housekeeping, _lock: lock })
     }
 
     /// Where messages and wishes go in.
@@ -151,6 +151,7 @@ impl Recorder {
         if self.inbox.send(Command::Finish).is_err() || self.thread.join().is_err() {
             tracing::error!("the recorder ended before it was asked to");
         }
+        self.housekeeping.finish();
     }
 }
 
@@ -333,7 +334,7 @@ impl Desk {
 
     fn end_session(&mut self) {
         if let Some(session) = self.session.take() {
-            self.ended_bytes += session.end();
+            self.ended_bytes += session.end(&self.ballast);
         }
     }
 

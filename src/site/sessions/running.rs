@@ -63,8 +63,8 @@ pub(super) struct Running {
     book: ChannelBook,
     file: Option<OpenFile>,
     machines: BTreeSet<Arc<str>>,
-    /// Bytes of the files that are closed.
-    closed_bytes: u64,
+    /// Bytes of each file that is closed.
+    closed_bytes: BTreeMap<u32, u64>,
 }
 
 struct OpenFile {
@@ -97,7 +97,7 @@ impl Running {
             book: ChannelBook::default(),
             file: None,
             machines: BTreeSet::new(),
-            closed_bytes: 0,
+            closed_bytes: BTreeMap::new(),
         };
         match session.open(now) {
             Ok(()) => Ok(session),
@@ -188,7 +188,7 @@ impl Running {
         let path = writer.path().to_owned();
         let summary = writer.finish()?;
         tracing::info!("{}: complete, {} messages", path.display(), summary.messages);
-        self.closed_bytes += summary.bytes;
+        self.closed_bytes.insert(number, summary.bytes);
         self.catalogue.put(&self.id, number, Some(summary));
         Ok(())
     }
@@ -211,25 +211,26 @@ impl Running {
                 if summary.state != FileState::Complete {
                     tell_recovered(&self.id, number, &summary);
                 }
-                self.closed_bytes += summary.bytes;
+                self.closed_bytes.insert(number, summary.bytes);
                 self.catalogue.put(&self.id, number, Some(summary));
             }
-            Err(error) => tracing::error!("not closed, and recovered at the next start: {error}"),
+            Err(error) => tracing::error!("cannot be recovered now: {error}"),
         }
     }
 
     /// Nothing is added any more. Returns the bytes of its files.
-    pub fn end(mut self) -> u64 {
+    pub fn end(mut self, ballast: &Ballast) -> u64 {
         if let Err(error) = self.close() {
-            tracing::error!("session {} is not closed, and is recovered later: {error}", self.id);
+            tracing::error!("session {} is not closed: {error}", self.id);
+            self.give_up(&error, ballast);
         }
         self.catalogue.end();
-        self.closed_bytes
+        self.closed_bytes.values().sum()
     }
 
     /// Says how far it is.
     pub fn tell(&self, progress: &mut Progress) {
-        progress.total_bytes += self.closed_bytes;
+        progress.total_bytes += self.closed_bytes.values().sum::<u64>();
         progress.session = Some(self.id.clone());
         progress.machines = self.machines.iter().map(|machine| machine.to_string()).collect();
         progress.open_file = self.file.as_ref().map(|file| file.number);
