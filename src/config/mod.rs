@@ -14,8 +14,8 @@ use serde::de::DeserializeOwned;
 
 pub use endpoint::endpoint;
 pub use machine::{
-    BaseImu, Frames, Gate, Gnss, Imu, Initialization, LidarInOutage, LidarOdometry, Link, Machine, Publish,
-    Smoother, Transform, World,
+    BaseImu, Frames, Gate, Gnss, Imu, Initialization, LidarInOutage, LidarOdometry, Link, Machine, OnBoard,
+    Publish, Smoother, Transform, World,
 };
 pub use site::{Http, Record, Rotate, Site, Zenoh};
 

@@ -129,6 +129,17 @@ pub struct MachineReport {
     pub health: Health,
 }
 
+/// Messages of a machine that the recording lacks, and that it got later.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Gaps {
+    /// Missing so far.
+    pub open: u64,
+    /// Fetched from the machine's own record.
+    pub filled: u64,
+    /// Missing for good.
+    pub lost: u64,
+}
+
 /// What became of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Receipt {
@@ -206,6 +217,13 @@ impl Fleet {
     pub fn report(&mut self, id: &str, report: MachineReport, now: Stamp) {
         if let Some(machine) = self.machine_mut(id, now) {
             machine.report(report, now);
+        }
+    }
+
+    /// How much of a machine's messages the recording lacks.
+    pub fn gaps(&mut self, id: &str, gaps: Gaps) {
+        if let Some(machine) = self.machines.get_mut(id) {
+            machine.recording_gaps(gaps);
         }
     }
 

@@ -15,9 +15,13 @@ mod encode;
 mod gather;
 mod index;
 mod journal;
+mod ledger;
 mod merge;
+mod order;
+mod ranges;
 mod read;
 mod recover;
+mod ring;
 mod scan;
 mod write;
 
@@ -29,10 +33,14 @@ use crate::time::Stamp;
 use crate::wire::{BootId, Topic};
 
 pub use check::{Checked, Checker, Missing, Stream};
-pub use journal::{BootRun, read_live_runs};
+pub use journal::{BootRun, read_live_runs, read_live_runs_of};
+pub use ledger::{Gap, GapCause, GapCounts, Ledger, Plan};
 pub use merge::{Piece, merge};
+pub use order::read_in_order;
+pub use ranges::Ranges;
 pub use read::{Arrivals, Messages, machines, read_arrivals, read_messages};
 pub use recover::{inspect, recover};
+pub use ring::{FILE_BYTES, Ring, RingOptions, RingReader, Shelf};
 pub use write::{ChannelBook, RecordWriter, SYNC_EVERY};
 
 /// Name of the metadata record that says how a file was recovered.

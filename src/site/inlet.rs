@@ -12,6 +12,7 @@ use super::counters::{Counters, add};
 use super::sessions::Command;
 use super::{SiteError, zenoh_error};
 use crate::config;
+use crate::fleet::Gaps;
 use crate::link;
 use crate::time::Stamp;
 use crate::wire::{Attachment, Key, Topic, WireError, alive_selector};
@@ -41,6 +42,11 @@ pub(super) enum Message {
         machine: Arc<str>,
         error: WireError,
         received: Stamp,
+    },
+    /// How much of a machine's messages the recording lacks.
+    Gaps {
+        machine: Arc<str>,
+        gaps: Gaps,
     },
 }
 

@@ -10,6 +10,7 @@
 //! Nothing waits for something behind it: full channels drop and count, live clients get the newest frame.
 
 mod aggregator;
+mod backfill;
 mod clock;
 mod counters;
 mod http;
@@ -28,6 +29,7 @@ use tokio::task::JoinHandle;
 use crate::config;
 use crate::fleet::{Fleet, SiteDescription};
 use crate::link;
+use backfill::Backfill;
 use clock::SiteClock;
 use counters::Counters;
 use sessions::{Catalogue, Recorder};
@@ -86,6 +88,7 @@ pub struct Site {
     session: zenoh::Session,
     inlet: inlet::Inlet,
     recorder: Option<Recorder>,
+    backfill: Option<Backfill>,
     stop: watch::Sender<bool>,
     tasks: Vec<JoinHandle<()>>,
 }
@@ -115,8 +118,9 @@ impl Site {
         };
         let (session, endpoints) = inlet::open(config).await?;
         let folder = config.record.directory.join("sessions");
+        let books = backfill::open(&config.record.directory, &folder);
         let recording = match config.record.enabled {
-            true => Recorder::start(config, folder, clock, Arc::clone(&counters))
+            true => Recorder::start(config, folder, clock, Arc::clone(&counters), books.books.clone())
                 .map(|recorder| (recorder.catalogue(), Some(recorder))),
             false => Catalogue::visit(folder).map(|catalogue| (Arc::new(catalogue), None)),
         };
@@ -129,6 +133,7 @@ impl Site {
         };
 
         let (message_sender, messages) = mpsc::channel(MESSAGES_QUEUED);
+        let for_backfill = message_sender.clone();
         let (token_sender, tokens) = mpsc::channel(TOKENS_QUEUED);
         let outlets = inlet::Outlets {
             messages: message_sender,
@@ -145,6 +150,17 @@ impl Site {
         let fleet = Fleet::new(description);
         let (frame_sender, frames) = watch::channel(Arc::new(aggregator::Frame::of(&fleet, 0, clock.now())));
         let aggregator = aggregator::run(fleet, messages, tokens, frame_sender, clock, stopped.clone());
+        let backfill = recorder.as_ref().map(|recorder| {
+            let outlets = backfill::Outlets {
+                session: session.clone(),
+                site: config.id.clone(),
+                recorder: recorder.inbox(),
+                progress: recorder.progress(),
+                messages: for_backfill,
+                clock,
+            };
+            Backfill::start(books, outlets, frames.clone(), stopped.clone())
+        });
         let shared = http::Shared {
             frames,
             counters,
@@ -158,7 +174,7 @@ impl Site {
         };
         let server = http::serve(listener, shared, stopped);
         let tasks = vec![tokio::spawn(aggregator), tokio::spawn(server)];
-        Ok(Self { address, endpoints, session, inlet, recorder, stop, tasks })
+        Ok(Self { address, endpoints, session, inlet, recorder, backfill, stop, tasks })
     }
 
     /// Where page and API are served.
@@ -176,12 +192,25 @@ impl Site {
         if tokio::time::timeout(STOP_TIMEOUT, self.inlet.undeclare()).await.is_err() {
             tracing::warn!("Zenoh did not end the subscriptions in time");
         }
+        let mut books = None;
+        if let (Some(backfill), Some(recorder)) = (self.backfill, &self.recorder) {
+            let (gaps, saving) = backfill.stop().await;
+            // The channel has room for most of them; a recording that does not say so lacks them all the same.
+            for gap in gaps {
+                let _ = recorder.inbox().try_send(backfill::note(&gap));
+            }
+            books = Some(saving);
+        }
         if let Some(recorder) = self.recorder {
             // The thread finishes its file; joining it must not hold up the others.
             let finished = tokio::task::spawn_blocking(move || recorder.finish());
             if tokio::time::timeout(2 * STOP_TIMEOUT, finished).await.is_err() {
                 tracing::error!("the recording did not end in time; it is recovered at the next start");
             }
+        }
+        if let Some(books) = books {
+            // A failure is told there; nothing waits for it.
+            let _ = tokio::task::spawn_blocking(move || books.save()).await;
         }
         self.stop.send_replace(true);
         for task in self.tasks {

@@ -121,6 +121,7 @@ impl Machine {
             world_from_odom: None,
             estimate_age_s: Some(0.01),
             prediction: None,
+            record: None,
             health: Health {
                 stamp_ns: now().as_nanos(),
                 mode: Mode::Main,

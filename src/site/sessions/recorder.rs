@@ -32,10 +32,12 @@ use super::view::RecordingState;
 use crate::config;
 use crate::record::RecordError;
 use crate::site::SiteError;
+use crate::site::backfill::Books;
 use crate::site::clock::SiteClock;
 use crate::site::counters::{Counters, get};
 use crate::site::inlet::Inbound;
 use crate::time::{Span, Stamp};
+use crate::wire::Attachment;
 
 /// Messages between the callbacks and the thread: five seconds of twenty machines with everything, while the
 /// disk syncs. When it is full, new messages are dropped and counted.
@@ -68,6 +70,11 @@ pub(in crate::site) enum Refusal {
 pub(in crate::site) enum Command {
     /// A message, also one that comes late.
     Write(Inbound),
+    /// A metadata record.
+    Note {
+        name: &'static str,
+        entries: BTreeMap<String, String>,
+    },
     /// Another session, now; the one that runs ends with the last message before.
     Start {
         notes: Notes,
@@ -99,6 +106,7 @@ impl Recorder {
         folder: PathBuf,
         clock: SiteClock,
         counters: Arc<Counters>,
+        books: Books,
     ) -> Result<Self, SiteError> {
         let failed =
             |message: String| SiteError::Record { directory: config.record.directory.clone(), message };
@@ -106,7 +114,7 @@ impl Recorder {
         let lock = Arc::new(folder.lock().map_err(|error| failed(error.to_string()))?);
         let catalogue = Arc::new(Catalogue::open(folder).map_err(|error| failed(error.to_string()))?);
         let (progress_sender, progress) = watch::channel(Progress::default());
-        let mut desk = Desk::new(config, Arc::clone(&catalogue), clock, progress_sender)?;
+        let mut desk = Desk::new(config, Arc::clone(&catalogue), clock, progress_sender, books)?;
         let now = clock.now();
         if let Err(error) = desk.begin(&Notes::default(), now) {
             // A full disk may have room again; what else is wrong now is wrong with the site file.
@@ -168,6 +176,8 @@ struct Desk {
     /// As far as it does not change with each message.
     progress: Progress,
     published: watch::Sender<Progress>,
+    /// What is in the recordings.
+    books: Books,
     look_at: Stamp,
     retry_at: Stamp,
     retry_after: Span,
@@ -184,6 +194,7 @@ impl Desk {
         catalogue: Arc<Catalogue>,
         clock: SiteClock,
         published: watch::Sender<Progress>,
+        books: Books,
     ) -> Result<Self, SiteError> {
         let world = &config.world;
         let about_the_site = [
@@ -211,6 +222,7 @@ impl Desk {
             session: None,
             progress: Progress::default(),
             published,
+            books,
             look_at: Stamp::default(),
             retry_at: Stamp::default(),
             retry_after: RETRY_AFTER,
@@ -224,6 +236,7 @@ impl Desk {
         loop {
             match commands.recv_timeout(TURN) {
                 Ok(Command::Write(inbound)) => self.write(&inbound),
+                Ok(Command::Note { name, entries }) => self.note(name, entries),
                 Ok(Command::Start { notes, answer }) => {
                     let started = self.start(&notes);
                     // Whoever asked may be gone.
@@ -256,8 +269,19 @@ impl Desk {
                     self.pause(&error);
                 }
             }
+            // It is fetched from the machine when the recording goes on.
             _ if self.progress.state == RecordingState::Paused => self.progress.missed += 1,
-            _ => {}
+            // Nobody wants it, later neither.
+            _ => {
+                let Attachment { boot, sequence, .. } = inbound.attachment;
+                self.books.lock().pass(&inbound.machine, boot, inbound.topic, sequence);
+            }
+        }
+    }
+
+    fn note(&mut self, name: &str, entries: BTreeMap<String, String>) {
+        if let Some(Err(error)) = self.session.as_mut().map(|session| session.note(name, entries)) {
+            self.pause(&error);
         }
     }
 
@@ -321,7 +345,7 @@ impl Desk {
         {
             return Err(no_room(error));
         }
-        self.session = Some(Running::begin(&self.catalogue, &self.about_the_site, notes, now)?);
+        self.session = Some(Running::begin(&self.catalogue, &self.about_the_site, &self.books, notes, now)?);
         self.recording();
         Ok(())
     }

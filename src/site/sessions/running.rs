@@ -8,6 +8,7 @@ use super::folder::Notes;
 use super::space::{Ballast, is_disk_full};
 use super::view::RecordingState;
 use crate::record::{ChannelBook, FileState, RecordError, RecordWriter, Recorded, Summary, recover};
+use crate::site::backfill::Books;
 use crate::site::inlet::Inbound;
 use crate::time::{Span, Stamp};
 
@@ -65,6 +66,8 @@ pub(super) struct Running {
     machines: BTreeSet<Arc<str>>,
     /// Bytes of each file that is closed.
     closed_bytes: BTreeMap<u32, u64>,
+    /// What is in the recordings, and what of it is on the disk.
+    books: Books,
 }
 
 struct OpenFile {
@@ -80,6 +83,7 @@ impl Running {
     pub fn begin(
         catalogue: &Arc<Catalogue>,
         about_the_site: &Arc<BTreeMap<String, String>>,
+        books: &Books,
         notes: &Notes,
         now: Stamp,
     ) -> Result<Self, RecordError> {
@@ -98,6 +102,7 @@ impl Running {
             file: None,
             machines: BTreeSet::new(),
             closed_bytes: BTreeMap::new(),
+            books: books.clone(),
         };
         match session.open(now) {
             Ok(()) => Ok(session),
@@ -149,6 +154,10 @@ impl Running {
     pub fn write(&mut self, inbound: &Inbound) -> Result<(), RecordError> {
         let Some(OpenFile { writer, boots, .. }) = &mut self.file else { return Ok(()) };
         let boot = inbound.attachment.boot;
+        // It may have come before, by itself or fetched from the machine.
+        if !self.books.lock().admit(&inbound.machine, boot, inbound.topic, inbound.attachment.sequence) {
+            return Ok(());
+        }
         if boots.insert((Arc::clone(&inbound.machine), boot.0)) {
             self.machines.insert(Arc::clone(&inbound.machine));
             let entries = [("machine", inbound.machine.to_string()), ("boot", boot.to_string())];
@@ -163,12 +172,27 @@ impl Running {
             received: inbound.received,
             sent: inbound.attachment.sent,
             payload: &inbound.payload,
-        })
+        })?;
+        self.tell_synced();
+        Ok(())
+    }
+
+    /// Adds a metadata record.
+    pub fn note(&mut self, name: &str, entries: BTreeMap<String, String>) -> Result<(), RecordError> {
+        self.file.as_mut().map_or(Ok(()), |file| file.writer.write_metadata(name, entries))
+    }
+
+    fn tell_synced(&self) {
+        if self.file.as_ref().is_some_and(|file| file.writer.unsynced_since().is_none()) {
+            self.books.lock().synced();
+        }
     }
 
     /// Syncs if it is time.
     pub fn tick(&mut self, now: Stamp) -> Result<(), RecordError> {
-        self.file.as_mut().map_or(Ok(()), |file| file.writer.tick(now))
+        self.file.as_mut().map_or(Ok(()), |file| file.writer.tick(now))?;
+        self.tell_synced();
+        Ok(())
     }
 
     /// Goes on in another file if this one is large or old enough.
@@ -187,6 +211,7 @@ impl Running {
         self.book = writer.book().clone();
         let path = writer.path().to_owned();
         let summary = writer.finish()?;
+        self.books.lock().synced();
         tracing::info!("{}: complete, {} messages", path.display(), summary.messages);
         self.closed_bytes.insert(number, summary.bytes);
         self.catalogue.put(&self.id, number, Some(summary));
@@ -204,17 +229,22 @@ impl Running {
         }
         let number = match self.next.checked_sub(1) {
             Some(last) if self.catalogue.folder().part(&self.id, last).exists() => last,
-            _ => return,
+            _ => return self.books.revoke(None),
         };
-        match recover(&self.catalogue.folder().part(&self.id, number)) {
+        let path = self.catalogue.folder().part(&self.id, number);
+        match recover(&path) {
             Ok(summary) => {
+                self.books.revoke(Some(&path));
                 if summary.state != FileState::Complete {
                     tell_recovered(&self.id, number, &summary);
                 }
                 self.closed_bytes.insert(number, summary.bytes);
                 self.catalogue.put(&self.id, number, Some(summary));
             }
-            Err(error) => tracing::error!("cannot be recovered now: {error}"),
+            Err(error) => {
+                self.books.revoke(None);
+                tracing::error!("cannot be recovered now: {error}");
+            }
         }
     }
 

@@ -7,6 +7,7 @@ use std::time::Duration;
 use super::*;
 use crate::config;
 use crate::record::{Checker, RecordWriter};
+use crate::site::backfill::Books;
 use crate::site::clock::SiteClock;
 use crate::site::counters::Counters;
 use crate::site::inlet::Inbound;
@@ -79,7 +80,8 @@ fn shift_begins_with_a_session_of_its_own_and_late_messages_find_their_place() {
     config.record.shifts = vec!["21:00".to_owned(), "05:00".to_owned()];
     let clock = SiteClock::starting_at(time("2026-07-01T18:59:59Z"));
     let recorder =
-        Recorder::start(&config, scratch.0.clone(), clock, Arc::new(Counters::default())).expect("starts");
+        Recorder::start(&config, scratch.0.clone(), clock, Arc::new(Counters::default()), Books::default())
+            .expect("starts");
     assert_eq!(recorder.progress().borrow().next_session, Some(time("2026-07-01T19:00:00Z")));
     let inbox = recorder.inbox();
     let mut sequence = 0;
@@ -130,7 +132,8 @@ fn what_is_in_the_way_is_not_overwritten_and_torn_files_are_recovered() {
     std::fs::write(&strange, b"notes of a stranger").expect("written");
     let clock = SiteClock::starting_at(time("2026-01-01T00:00:00Z"));
     let recorder =
-        Recorder::start(&config, scratch.0.clone(), clock, Arc::new(Counters::default())).expect("starts");
+        Recorder::start(&config, scratch.0.clone(), clock, Arc::new(Counters::default()), Books::default())
+            .expect("starts");
     assert_eq!(recorder.progress().borrow().session.as_deref(), Some("20260101T000000Z-2"));
     let deadline = clock.now() + Span::from_millis(20_000);
     while crate::record::inspect(&torn).is_err() {
