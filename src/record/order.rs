@@ -7,6 +7,9 @@ use super::{RecordError, Recorded, read_messages};
 use crate::time::Stamp;
 use crate::wire::{BootId, Topic};
 
+/// The messages of one boot.
+type Topics = BTreeMap<Topic, Vec<Recorded<Vec<u8>>>>;
+
 /// Reads all messages of `machine` from the files of a session: boot by boot, and within a boot by the time of
 /// sending; those of one topic in the order of their numbers, even if the machine's clock was set back. What is
 /// there twice comes once. Holds them all in memory.
@@ -19,7 +22,7 @@ pub fn read_in_order<'a>(
     paths: impl IntoIterator<Item = &'a Path>,
     machine: &str,
 ) -> Result<Vec<Recorded<Vec<u8>>>, RecordError> {
-    let mut boots: BTreeMap<Option<BootId>, BTreeMap<Topic, Vec<Recorded<Vec<u8>>>>> = BTreeMap::new();
+    let mut boots: BTreeMap<Option<BootId>, Topics> = BTreeMap::new();
     for path in paths {
         for message in read_messages(path)? {
             let message = message?;
@@ -37,7 +40,7 @@ pub fn read_in_order<'a>(
     Ok(runs.into_iter().flat_map(|(_, messages)| messages).collect())
 }
 
-fn in_order(topics: BTreeMap<Topic, Vec<Recorded<Vec<u8>>>>, counted: bool) -> Vec<Recorded<Vec<u8>>> {
+fn in_order(topics: Topics, counted: bool) -> Vec<Recorded<Vec<u8>>> {
     // Each topic with the time at which a message may come: not before those of its topic.
     let mut queues: Vec<VecDeque<(Stamp, Recorded<Vec<u8>>)>> = Vec::new();
     for mut messages in topics.into_values() {

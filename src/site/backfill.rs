@@ -9,6 +9,8 @@
 //! The books are saved every few seconds as far as the disk has what they say. After a restart the files that were
 //! written since are read again.
 
+#![allow(clippy::disallowed_methods, reason = "what is asked for is waited for, by a clock that nobody sets")]
+
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{SyncSender, TrySendError};

@@ -20,8 +20,11 @@ impl Dice {
     }
 }
 
-fn holding(boots: &[(u64, bool, &[(Topic, [u64; 2])])]) -> Holdings {
-    let held = |(boot, current, topics): &(u64, bool, &[(Topic, [u64; 2])])| HeldBoot {
+/// A boot, whether it runs, and first and last message of its topics.
+type Held<'a> = (u64, bool, &'a [(Topic, [u64; 2])]);
+
+fn holding(boots: &[Held<'_>]) -> Holdings {
+    let held = |(boot, current, topics): &Held<'_>| HeldBoot {
         boot: BootId(*boot),
         current: *current,
         topics: topics.iter().copied().collect(),
