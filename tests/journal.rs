@@ -69,6 +69,7 @@ fn session(data: &Path) -> PathBuf {
     let (mut site, endpoint) = site(data);
     let mut command = Command::new(env!("CARGO_BIN_EXE_holdfast"));
     command.arg("machine").arg("--scenario").arg(repository("config/scenarios/demo.toml"));
+    command.arg("--record").arg(data.join("on-board"));
     command.args(["--machine", MACHINE, "--speed", SPEED, "--connect", &endpoint]).stderr(Stdio::null());
     let mut machine = Process(command.spawn().expect("starts"));
     std::thread::sleep(WORK);

@@ -131,9 +131,10 @@ fn endpoint(site: &mut Process) -> String {
     said.find_map(|line| line.strip_prefix("zenoh ").map(str::to_owned)).expect("the site starts")
 }
 
-fn machine(id: &str, endpoint: &str) -> Process {
+fn machine(id: &str, endpoint: &str, folder: &Folder) -> Process {
     let mut command = Command::new(env!("CARGO_BIN_EXE_holdfast"));
     command.arg("machine").arg("--scenario").arg(repository("config/scenarios/demo.toml"));
+    command.arg("--record").arg(folder.0.join("on-board"));
     command.args(["--machine", id, "--connect", endpoint]).stderr(Stdio::null());
     Process(command.spawn().expect("starts"))
 }
@@ -218,7 +219,7 @@ fn whoever_is_killed_at_whatever_moment_the_recording_opens_and_lacks_a_second_a
         let earlier = folder.recordings();
         let mut site = site(&folder);
         let endpoint = endpoint(&mut site);
-        let mut machines = MACHINES.map(|id| machine(id, &endpoint));
+        let mut machines = MACHINES.map(|id| machine(id, &endpoint, &folder));
         // Half of the time while everything starts, half of the time while everything runs.
         let wait = if round % 2 == 0 { dice.millis(50, 1_500) } else { dice.millis(3_000, 4_500) };
         std::thread::sleep(wait);
@@ -300,8 +301,15 @@ fn site_killed_while_it_recovers_has_lost_nothing_and_recovers_at_the_next_start
         payload.iter_mut().for_each(|byte| *byte = dice.below(256) as u8);
         let at = start + Span::from_millis(sequence as i64);
         let machine = "walker-1".to_owned();
-        let message =
-            Recorded { machine, topic: Topic::Event, sequence, received: at, sent: at, payload: &payload };
+        let message = Recorded {
+            machine,
+            topic: Topic::Event,
+            boot: None,
+            sequence,
+            received: at,
+            sent: at,
+            payload: &payload,
+        };
         writer.write(&message).expect("written");
     }
     writer.sync().expect("synced");

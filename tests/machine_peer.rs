@@ -46,6 +46,7 @@ impl Recording {
             let message = Recorded {
                 machine: id.to_owned(),
                 topic: Topic::Sensor(arrival.reading.sensor()),
+                boot: None,
                 sequence: sequence as u64,
                 received: arrival.arrival,
                 sent: arrival.arrival,
@@ -123,6 +124,7 @@ impl Observer {
 
 fn linked(mut machine: config::Machine, endpoint: &str) -> config::Machine {
     machine.link = Link { connect: vec![endpoint.to_owned()], ..Link::default() };
+    machine.record.enabled = false;
     machine
 }
 
@@ -326,6 +328,8 @@ impl Process {
         let child = std::process::Command::new(env!("CARGO_BIN_EXE_holdfast"))
             .args(["machine", "--machine", "walker-1", "--connect", endpoint, "--scenario"])
             .arg(scenario)
+            .arg("--record")
+            .arg(std::env::temp_dir().join(format!("holdfast-on-board-{}", std::process::id())))
             .stderr(std::process::Stdio::null())
             .spawn()
             .expect("spawn");

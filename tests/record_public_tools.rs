@@ -15,7 +15,7 @@ use holdfast::record::{RecordWriter, Recorded};
 use holdfast::sensors::{CabinTurn, GnssFix, ImuSample, LidarPose, Reading};
 use holdfast::state::{Estimate, Mode, NavState, StateMatrix};
 use holdfast::time::{Span, Stamp};
-use holdfast::wire::{RosMessage, Topic, encode_reading, odom_message, pose_message};
+use holdfast::wire::{BootId, RosMessage, Topic, encode_reading, odom_message, pose_message};
 
 const START: Stamp = Stamp::from_nanos(1_790_000_000_000_000_000);
 const SAMPLES: u64 = 300;
@@ -65,7 +65,9 @@ fn write_recording(path: &std::path::Path) {
                 let message = Recorded {
                     machine: machine.to_owned(),
                     topic: *topic,
-                    sequence: index,
+                    // Restarted half way: two channels of one topic.
+                    boot: Some(BootId(1 + 2 * index / SAMPLES)),
+                    sequence: index % (SAMPLES / 2),
                     received: stamp + Span::from_millis(3),
                     sent: stamp + Span::from_millis(2),
                     payload,

@@ -149,6 +149,7 @@ async fn start(family: &mut Family, folder: &Path, arguments: &Arguments) -> Res
     for id in machine_ids(folder)? {
         let mut machine = own_command()?;
         machine.arg("machine").arg("--scenario").arg(folder.join(SCENARIO_FILE)).arg("--machine").arg(&id);
+        machine.arg("--record").arg(folder.join("on-board"));
         machine.arg("--connect").arg(&endpoint).arg("--speed").arg(arguments.speed.to_string());
         family.adopt(&format!("machine {id}"), machine.stdout(Stdio::null()).spawn()?);
     }

@@ -36,6 +36,9 @@ pub struct Arguments {
     /// Zenoh endpoint of the site, such as tcp/192.168.1.10:7447, instead of the machine file's; may be repeated
     #[arg(long, value_name = "ENDPOINT", value_parser = endpoint)]
     pub connect: Vec<String>,
+    /// Folder of the on-board record, instead of the machine file's; the machine's is the folder of its id in it
+    #[arg(long, value_name = "DIR")]
+    pub record: Option<PathBuf>,
 }
 
 /// Runs the command until a signal or the end of what is played.
@@ -54,7 +57,7 @@ pub fn run(arguments: Arguments) -> Result<(), Box<dyn Error>> {
 }
 
 fn options(arguments: Arguments) -> Result<Options, Box<dyn Error>> {
-    let Arguments { config, scenario, play, machine: wanted, speed, connect } = arguments;
+    let Arguments { config, scenario, play, machine: wanted, speed, connect, record } = arguments;
     let (mut machine, source) = match (scenario, config) {
         (Some(path), _) => {
             let scenario = Scenario::load(&path)?;
@@ -79,6 +82,9 @@ fn options(arguments: Arguments) -> Result<Options, Box<dyn Error>> {
     };
     if !connect.is_empty() {
         machine.link.connect = connect;
+    }
+    if let Some(directory) = record {
+        machine.record.directory = directory;
     }
     Ok(Options { machine, source, speed })
 }

@@ -20,6 +20,7 @@ mod realtime;
 mod simulate;
 #[cfg(feature = "shells")]
 mod site;
+mod verify;
 
 use std::error::Error;
 use std::path::Path;
@@ -47,6 +48,7 @@ enum Command {
     Estimate(estimate::Arguments),
     Evaluate(evaluate::Arguments),
     Check(check::Arguments),
+    Verify(verify::Arguments),
     #[cfg(feature = "shells")]
     Machine(machine::Arguments),
     #[cfg(feature = "shells")]
@@ -94,6 +96,7 @@ pub fn main() -> ExitCode {
         Command::Estimate(arguments) => estimate::run(arguments),
         Command::Evaluate(arguments) => evaluate::run(arguments).map(|()| Outcome::Done),
         Command::Check(arguments) => Ok(check::run(&arguments)),
+        Command::Verify(arguments) => verify::run(&arguments),
         #[cfg(feature = "shells")]
         Command::Machine(arguments) => machine::run(arguments).map(|()| Outcome::Done),
         #[cfg(feature = "shells")]

@@ -1,5 +1,7 @@
 //! The machine file: who the machine is, where its sensors sit, how good they are.
 
+use std::path::PathBuf;
+
 use serde::{Deserialize, Serialize};
 
 use super::endpoint::{endpoints, listening};
@@ -55,6 +57,9 @@ pub struct Machine {
     /// How the machine reaches the site.
     #[serde(default)]
     pub link: Link,
+    /// What the machine keeps itself.
+    #[serde(default)]
+    pub record: OnBoard,
 }
 
 /// Origin of the site frame, WGS84; the same for all machines of a site.
@@ -229,6 +234,18 @@ pub struct Link {
     pub lease_ms: u64,
 }
 
+/// The machine's own record, from which the site fetches what it missed.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct OnBoard {
+    /// The record is in a folder in it that has the machine's id for its name.
+    pub directory: PathBuf,
+    /// Of all files together, MB (10⁶ bytes); the oldest are deleted.
+    pub size_max_mb: u64,
+    /// Without it what does not reach the site is lost.
+    pub enabled: bool,
+}
+
 impl Default for Imu {
     fn default() -> Self {
         Self {
@@ -297,6 +314,12 @@ impl Default for Link {
     }
 }
 
+impl Default for OnBoard {
+    fn default() -> Self {
+        Self { directory: PathBuf::from("holdfast-data/on-board"), size_max_mb: 4_000, enabled: true }
+    }
+}
+
 impl Transform {
     /// The motion, with the frames that the caller promises.
     pub fn pose<A, B>(&self) -> Pose<A, B> {
@@ -341,6 +364,11 @@ impl Machine {
     /// What people call it.
     pub fn display_name(&self) -> &str {
         if self.name.is_empty() { &self.id } else { &self.name }
+    }
+
+    /// The machine file that says all this, defaults too.
+    pub fn to_toml(&self) -> String {
+        toml::to_string(self).unwrap_or_else(|error| format!("# has no TOML form: {error}"))
     }
 }
 
@@ -445,6 +473,7 @@ impl Checked for Machine {
         identifier("link.site", &self.link.site)?;
         endpoints("link.connect", &self.link.connect)?;
         listening("link", &self.link.listen, self.link.unauthenticated)?;
-        within("link.lease_ms", self.link.lease_ms as f64, 100.0, 600_000.0)
+        within("link.lease_ms", self.link.lease_ms as f64, 100.0, 600_000.0)?;
+        within("record.size_max_mb", self.record.size_max_mb as f64, 1.0, 1e9)
     }
 }

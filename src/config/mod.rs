@@ -14,10 +14,10 @@ use serde::de::DeserializeOwned;
 
 pub use endpoint::endpoint;
 pub use machine::{
-    BaseImu, Frames, Gate, Gnss, Imu, Initialization, LidarInOutage, LidarOdometry, Link, Machine, Publish,
-    Smoother, Transform, World,
+    BaseImu, Frames, Gate, Gnss, Imu, Initialization, LidarInOutage, LidarOdometry, Link, Machine, OnBoard,
+    Publish, Smoother, Transform, World,
 };
-pub use site::{Http, Record, Site, Zenoh};
+pub use site::{Http, Record, Rotate, Site, Zenoh};
 
 /// Why a configuration file cannot be used.
 #[derive(Debug, thiserror::Error)]

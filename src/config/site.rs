@@ -3,6 +3,8 @@
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
+use jiff::civil::Time;
+use jiff::tz::TimeZone;
 use serde::{Deserialize, Serialize};
 
 use super::endpoint::listening;
@@ -17,6 +19,9 @@ pub struct Site {
     /// For people; the id if it is empty.
     #[serde(default)]
     pub name: String,
+    /// IANA name of the time zone by which days and shifts begin, and the page tells the time.
+    #[serde(default = "utc")]
+    pub time_zone: String,
     /// Origin of the site frame, the same as in the machine files.
     pub world: World,
     /// Page and API.
@@ -56,6 +61,38 @@ pub struct Record {
     pub directory: PathBuf,
     /// Without it nothing is written to disk.
     pub enabled: bool,
+    /// When a new session begins by itself.
+    pub rotate: Rotate,
+    /// When shifts begin, `HH:MM` by the site's time zone.
+    pub shifts: Vec<String>,
+    /// A session's next file begins after so many megabytes (10⁶ bytes),
+    pub file_max_mb: f64,
+    /// or after so many minutes.
+    pub file_max_min: f64,
+    /// When the disk has less left than so many megabytes, the recording pauses.
+    pub reserve_mb: f64,
+    /// Sessions that ended so many days ago are deleted; `None` keeps them for ever.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub keep_days: Option<f64>,
+    /// When all sessions are more than so many gigabytes (10⁹ bytes), the oldest are deleted; `None` keeps them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub keep_gb: Option<f64>,
+}
+
+/// When a new session begins by itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Rotate {
+    /// At midnight.
+    Day,
+    /// When a shift begins.
+    Shift,
+    /// Only when the server starts.
+    Never,
+}
+
+fn utc() -> String {
+    "UTC".to_owned()
 }
 
 impl Default for Http {
@@ -72,7 +109,17 @@ impl Default for Zenoh {
 
 impl Default for Record {
     fn default() -> Self {
-        Self { directory: PathBuf::from("holdfast-data"), enabled: true }
+        Self {
+            directory: PathBuf::from("holdfast-data"),
+            enabled: true,
+            rotate: Rotate::Day,
+            shifts: ["06:00", "14:00", "22:00"].map(str::to_owned).into(),
+            file_max_mb: 1000.0,
+            file_max_min: 60.0,
+            reserve_mb: 500.0,
+            keep_days: None,
+            keep_gb: None,
+        }
     }
 }
 
@@ -80,6 +127,67 @@ impl Site {
     /// What people call it.
     pub fn display_name(&self) -> &str {
         if self.name.is_empty() { &self.id } else { &self.name }
+    }
+
+    /// The site's time zone.
+    ///
+    /// # Errors
+    /// There is no zone of that name.
+    pub fn zone(&self) -> Result<TimeZone, Violation> {
+        TimeZone::get(&self.time_zone).or_else(|_| {
+            violation(
+                "time_zone",
+                format!(
+                    "is {:?}, which is no time zone; must be an IANA name such as Europe/Zurich",
+                    self.time_zone
+                ),
+            )
+        })
+    }
+}
+
+impl Record {
+    /// When shifts begin, by the site's clock on the wall, in order.
+    ///
+    /// # Errors
+    /// One of them is no time of day, or there are none although they are needed.
+    pub fn shift_times(&self) -> Result<Vec<Time>, Violation> {
+        let mut times = Vec::new();
+        for text in &self.shifts {
+            match Time::strptime("%H:%M", text) {
+                Ok(time) => times.push(time),
+                Err(_) => {
+                    let message = format!("has {text:?}, must be times of day such as 06:00");
+                    return violation("record.shifts", message);
+                }
+            }
+        }
+        times.sort();
+        times.dedup();
+        if times.is_empty() && self.rotate == Rotate::Shift {
+            let message = "is empty, must say when shifts begin if record.rotate is \"shift\"";
+            return violation("record.shifts", message.to_owned());
+        }
+        Ok(times)
+    }
+
+    fn check(&self) -> Result<(), Violation> {
+        self.shift_times()?;
+        let numbers = [
+            ("record.file_max_mb", Some(self.file_max_mb), 1.0),
+            ("record.file_max_min", Some(self.file_max_min), 0.01),
+            ("record.reserve_mb", Some(self.reserve_mb), 0.0),
+            ("record.keep_days", self.keep_days, 0.0),
+            ("record.keep_gb", self.keep_gb, 0.0),
+        ];
+        for (key, value, least) in numbers {
+            // A NaN is in no range.
+            if value.is_some_and(|value| !(least..=1e9).contains(&value)) {
+                let value = value.unwrap_or(f64::NAN);
+                return violation(key, format!("is {value}, must be from {least} to 1e9"));
+            }
+        }
+        Ok(())
     }
 }
 
@@ -108,7 +216,9 @@ impl Checked for Site {
     fn check(&self) -> Result<(), Violation> {
         identifier("id", &self.id)?;
         self.world.check("world")?;
+        self.zone()?;
         self.http.check()?;
+        self.record.check()?;
         if self.zenoh.listen.is_empty() {
             return violation(
                 "zenoh.listen",
@@ -140,6 +250,29 @@ mod tests {
         assert_eq!(shipped.http, Http::default());
         assert_eq!(shipped.zenoh, Zenoh::default());
         assert_eq!(shipped.record, Record::default());
+        assert_eq!(shipped.time_zone, utc());
+    }
+
+    #[test]
+    fn zones_shifts_and_amounts_that_are_none_are_refused() {
+        for (text, expected) in [
+            ("time_zone = \"Mars/Olympus\"\n", "time_zone is \"Mars/Olympus\", which is no time zone"),
+            ("[record]\nshifts = [\"25:00\"]\n", "record.shifts has \"25:00\""),
+            ("[record]\nrotate = \"shift\"\nshifts = []\n", "record.shifts is empty"),
+            ("[record]\nfile_max_mb = 0.0\n", "record.file_max_mb is 0, must be from 1 to 1e9"),
+            ("[record]\nkeep_days = nan\n", "record.keep_days is NaN"),
+            ("[record]\nreserve_mb = -1\n", "record.reserve_mb is -1"),
+        ] {
+            let (head, table) = if text.starts_with('[') { ("", text) } else { (text, "") };
+            let message = error(&format!("{head}{MINIMAL}{table}"));
+            assert!(message.contains(expected), "{message}");
+        }
+        let text =
+            format!("time_zone = \"Europe/Zurich\"\n{MINIMAL}[record]\nshifts = [\"18:30\", \"06:00\"]\n");
+        let site = parse::<Site>(&text, Path::new("s.toml")).expect("valid");
+        let times = site.record.shift_times().expect("times");
+        assert_eq!(times, [Time::constant(6, 0, 0, 0), Time::constant(18, 30, 0, 0)]);
+        assert_eq!(site.zone().expect("a zone").iana_name(), Some("Europe/Zurich"));
     }
 
     #[test]

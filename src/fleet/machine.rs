@@ -2,10 +2,10 @@
 
 use std::collections::{BTreeSet, VecDeque};
 
-use super::link::{ClockOffset, Gaps, Interval, Rate};
+use super::link::{self, ClockOffset, Interval, Rate};
 use super::view::{self, HealthView, LinkView, MachineView, PoseView, UtcTime};
 use super::{
-    HEALTH_AGE_MAX, MachineReport, ORIGIN_OFF_MAX_M, POSE_AGE_LIMIT, POSE_AGE_MAX, POSES_MISSING_MAX,
+    Gaps, HEALTH_AGE_MAX, MachineReport, ORIGIN_OFF_MAX_M, POSE_AGE_LIMIT, POSE_AGE_MAX, POSES_MISSING_MAX,
     PoseSample, Presence, Publication, RIVAL_AFTER, RIVAL_SHOWN_FOR, RIVAL_TOLD_EVERY, Receipt, Severity,
     Topic,
 };
@@ -41,7 +41,8 @@ pub(super) struct Machine {
     pose: Option<Received<PoseSample>>,
     odom_from_base: Option<Pose<Odom, Base>>,
     report: Option<Received<MachineReport>>,
-    gaps: Gaps,
+    gaps: link::Gaps,
+    recording: Gaps,
     pose_rate: Rate,
     pose_interval: Interval,
     clock_offset: ClockOffset,
@@ -64,7 +65,8 @@ impl Machine {
             pose: None,
             odom_from_base: None,
             report: None,
-            gaps: Gaps::default(),
+            gaps: link::Gaps::default(),
+            recording: Gaps::default(),
             pose_rate: Rate::default(),
             pose_interval: Interval::default(),
             clock_offset: ClockOffset::default(),
@@ -141,6 +143,10 @@ impl Machine {
         let usual = self.pose_interval.usual().unwrap_or_default();
         Span::from_nanos(usual.as_nanos().saturating_mul(POSES_MISSING_MAX))
             .clamp(POSE_AGE_MAX, POSE_AGE_LIMIT)
+    }
+
+    pub fn recording_gaps(&mut self, gaps: Gaps) {
+        self.recording = gaps;
     }
 
     pub fn refuse(&mut self) {
@@ -263,6 +269,9 @@ impl Machine {
                 received: self.gaps.received,
                 missed: self.gaps.missed,
                 refused: self.refused,
+                gaps_open: self.recording.open,
+                gaps_filled: self.recording.filled,
+                gaps_lost: self.recording.lost,
                 clock_offset_s: self.clock_offset.seconds(),
             },
         }

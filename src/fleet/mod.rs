@@ -63,6 +63,8 @@ pub struct SiteDescription {
     pub id: String,
     /// For people.
     pub name: String,
+    /// IANA name of its time zone.
+    pub time_zone: String,
     /// Where the site frame is tied to the earth.
     pub origin: Geodetic,
     /// Version of the site server.
@@ -125,6 +127,17 @@ pub struct MachineReport {
     pub world_from_odom: Option<Pose<World, Odom>>,
     /// State of the estimator.
     pub health: Health,
+}
+
+/// Messages of a machine that the recording lacks, and that it got later.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Gaps {
+    /// Missing so far.
+    pub open: u64,
+    /// Fetched from the machine's own record.
+    pub filled: u64,
+    /// Missing for good.
+    pub lost: u64,
 }
 
 /// What became of a message.
@@ -207,6 +220,13 @@ impl Fleet {
         }
     }
 
+    /// How much of a machine's messages the recording lacks.
+    pub fn gaps(&mut self, id: &str, gaps: Gaps) {
+        if let Some(machine) = self.machines.get_mut(id) {
+            machine.recording_gaps(gaps);
+        }
+    }
+
     /// Lets time pass: what became old by `now` becomes stale. Returns the machines whose presence changed.
     pub fn advance(&mut self, now: Stamp) -> usize {
         self.machines.values_mut().map(|machine| usize::from(machine.advance(now))).sum()
@@ -228,6 +248,7 @@ impl Fleet {
             id: self.site.id.clone(),
             name: self.site.name.clone(),
             world: WorldView::from(self.site.origin),
+            time_zone: self.site.time_zone.clone(),
             software: self.site.software.clone(),
         }
     }

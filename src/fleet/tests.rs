@@ -15,6 +15,7 @@ fn fleet() -> Fleet {
         id: "site".to_owned(),
         name: "Gravel pit".to_owned(),
         origin: Geodetic { latitude_deg: 47.48, longitude_deg: 8.5, altitude_m: 475.0 },
+        time_zone: "UTC".to_owned(),
         software: "0.0.0".to_owned(),
     })
 }

@@ -56,6 +56,8 @@ pub struct SiteView {
     pub id: String,
     /// For people.
     pub name: String,
+    /// IANA name of the time zone in which the site's days and shifts begin.
+    pub time_zone: String,
     /// Origin of the site frame.
     pub world: WorldView,
     /// Version of the site server.
@@ -218,6 +220,12 @@ pub struct LinkView {
     pub missed: u64,
     /// Messages that arrived but could not be used.
     pub refused: u64,
+    /// Messages that the recording lacks so far; they are fetched from the machine's own record.
+    pub gaps_open: u64,
+    /// Messages that the recording lacked, and that were fetched.
+    pub gaps_filled: u64,
+    /// Messages that will never be in the recording.
+    pub gaps_lost: u64,
     /// The site's clock less the machine's, plus the shortest transit, s.
     pub clock_offset_s: Option<f64>,
 }

@@ -23,6 +23,10 @@ pub(super) struct Counters {
     pub(super) update_dropped: AtomicU64,
     /// Messages that the outbox did not take.
     pub(super) output_dropped: AtomicU64,
+    /// Messages that were not sent for want of room; they are in the on-board record, if there is one.
+    pub(super) unsent: AtomicU64,
+    /// Messages that the on-board record had no room for.
+    pub(super) record_dropped: AtomicU64,
     /// From IMU samples to their estimates.
     pub(super) predict: SharedTimes,
     /// Updates.
@@ -85,13 +89,21 @@ impl SharedTimes {
 }
 
 impl Counters {
+    /// Causes of losses.
+    pub(super) const LOSSES: usize = 6;
+
     /// What was lost so far, by cause.
-    pub(super) fn losses(&self) -> [(&'static str, u64); 4] {
+    pub(super) fn losses(&self) -> [(&'static str, u64); Self::LOSSES] {
         [
             ("messages without a reading", self.undecodable.load(Ordering::Relaxed)),
             ("readings that the predictor had no room for", self.input_dropped.load(Ordering::Relaxed)),
             ("readings that the updater had no room for", self.update_dropped.load(Ordering::Relaxed)),
             ("messages that the outbox had no room for", self.output_dropped.load(Ordering::Relaxed)),
+            ("messages that the network had no room for", self.unsent.load(Ordering::Relaxed)),
+            (
+                "messages that the on-board record had no room for",
+                self.record_dropped.load(Ordering::Relaxed),
+            ),
         ]
     }
 

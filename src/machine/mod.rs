@@ -5,12 +5,14 @@
 //! ```text
 //! source ──readings──▶ predictor ──readings──▶ updater      (threads of the room `live`)
 //!                       ▲   │ │                  │ │
-//!                       └───┼─┼─────solutions────┘ └──health, events──▶ outbox  (task of tokio, owns the
-//!                           │ └──readings, estimates, takeovers───────▶          session's publishers)
+//!                       └───┼─┼─────solutions────┘ └──health, events──▶ outbox ──▶ sender  (tasks of tokio)
+//!                           │ └──readings, estimates, takeovers───────▶   │
+//!                                                                         └─────▶ keeper  (thread, owns the ring)
 //! ```
 //!
 //! The predictor never waits for any of the others: what does not fit into a channel is counted and told.
-//! The estimator never runs on Zenoh's threads, and nothing is put on the network from the estimator's.
+//! The estimator never runs on Zenoh's threads, and nothing is put on the network or on a disk from the
+//! estimator's. What the outbox has numbered is in the on-board record whether it could be sent or not.
 //!
 //! The outbox keeps the journal: in which order the readings were taken and before which of them a solution was
 //! taken over. With the journal and the readings of a boot, a session's recording gives the estimates again to
@@ -26,10 +28,13 @@
 mod audience;
 mod clock;
 mod counters;
+mod keeper;
 mod outbox;
 mod pipeline;
+mod sender;
 mod source;
 
+use std::collections::BTreeMap;
 use std::future::Future;
 use std::sync::Arc;
 use std::time::Duration;
@@ -46,6 +51,7 @@ pub use source::{Source, SourceError};
 use audience::Audience;
 use clock::Clock;
 use counters::Counters;
+use keeper::Keeper;
 use outbox::Outbox;
 use pipeline::Pipeline;
 use source::{Feed, Surroundings};
@@ -91,6 +97,7 @@ pub struct Machine {
     feed: Feed,
     pipeline: Pipeline,
     outbox: Outbox,
+    keeper: Keeper,
     counters: Arc<Counters>,
 }
 
@@ -103,12 +110,16 @@ impl Machine {
     pub async fn start(options: Options) -> Result<Self, MachineError> {
         let Options { machine, source, speed } = options;
         // The source first: a missing file should not show on the site as a machine that came and went.
+        let seed = source.seed();
         let prepared = source.prepare(&machine)?;
         let session = link::open(link::machine_config(&machine.link)?).await?;
         let boot = random_boot();
         let clock = Clock::new(prepared.is_played().then_some(speed));
         let counters = Arc::new(Counters::default());
-        let (outbox, outlets) = Outbox::start(&session, &machine, boot, clock, Arc::clone(&counters)).await?;
+        let about = about(&machine, boot, seed);
+        let (keeper, record) = Keeper::start(&session, &machine, boot, about, Arc::clone(&counters)).await?;
+        let (outbox, outlets) =
+            Outbox::start(&session, &machine, boot, clock, Arc::clone(&counters), record).await?;
         let halves = estimator::split(machine.estimator_options());
         let passes = if prepared.is_played() { speed } else { 1.0 };
         let imu_period = Duration::from_secs_f64(1.0 / machine.imu.update_rate / passes);
@@ -129,7 +140,7 @@ impl Machine {
             connect = ?machine.link.connect,
             "the machine's peer runs"
         );
-        Ok(Self { boot, session, token, audience, feed, pipeline, outbox, counters })
+        Ok(Self { boot, session, token, audience, feed, pipeline, outbox, keeper, counters })
     }
 
     /// This run.
@@ -148,15 +159,16 @@ impl Machine {
     }
 
     /// Ends everything in the order of the flow, so that what was read is still estimated and sent: source,
-    /// predictor, updater, outbox, token, session.
+    /// predictor, updater, outbox, record, token, session.
     ///
     /// # Errors
     /// [`MachineError::Panicked`] if the estimator did not live to see it.
     pub async fn stop(self) -> Result<Report, MachineError> {
-        let Self { boot, session, token, audience, feed, pipeline, outbox, counters } = self;
+        let Self { boot, session, token, audience, feed, pipeline, outbox, keeper, counters } = self;
         feed.stop().await;
         let estimated = pipeline.stop().await;
         let published = outbox.stop().await;
+        keeper.stop().await;
         audience.stop().await;
         if let Err(error) = token.undeclare().await {
             tracing::warn!(%error, "the liveliness token could not be taken back");
@@ -181,6 +193,24 @@ pub async fn run(options: Options, shutdown: impl Future<Output = ()>) -> Result
         () = feed.ended() => {}
     }
     machine.stop().await
+}
+
+/// What every file of the on-board record says: whose it is, how the machine is configured, and where what it saw
+/// came from if that was simulated.
+fn about(
+    machine: &config::Machine,
+    boot: BootId,
+    seed: Option<u64>,
+) -> Vec<(String, BTreeMap<String, String>)> {
+    let mut entries = vec![
+        ("machine", machine.id.clone()),
+        ("boot", boot.to_string()),
+        ("software", env!("CARGO_PKG_VERSION").to_owned()),
+        ("config", machine.to_toml()),
+    ];
+    entries.extend(seed.map(|seed| ("simulation_seed", seed.to_string())));
+    let entries = entries.into_iter().map(|(key, value)| (key.to_owned(), value)).collect();
+    vec![("holdfast.machine".to_owned(), entries)]
 }
 
 /// Differs from run to run; the standard library's hasher is seeded by the system.

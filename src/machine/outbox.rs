@@ -1,6 +1,8 @@
-//! Publishes what the machine knows. The only place that puts anything on the network.
+//! Puts what the machine knows into words, numbers it, and hands it to the on-board record and to the network.
+//!
+//! Numbers count what the machine said, not what went out: what the network has no room for is in the record.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -8,34 +10,35 @@ use std::time::Duration;
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 use tokio::time::MissedTickBehavior;
-use zenoh::bytes::Encoding;
-use zenoh::pubsub::Publisher;
-use zenoh::qos::{CongestionControl, Priority};
 
 use super::clock::Clock;
 use super::counters::Counters;
+use super::keeper::RecordInlet;
+use super::sender::{Packet, Sender};
 use crate::config;
 use crate::frames::{Cabin, Imu, Odom, Pose, World};
-use crate::link::{self, LinkError};
+use crate::link::LinkError;
 use crate::replay::Times;
 use crate::sensors::Arrival;
 use crate::state::{Estimate, Event, GnssState, Health, Mode, Takeover};
 use crate::time::{Span, Stamp};
 use crate::wire::{
     Attachment, BootId, JournalPage, Latency, MachineReport, PAGE_READINGS_MAX, RigidMotion, RosMessage,
-    Topic, encode_json, encode_reading, odom_message, pose_message, topic_key,
+    Topic, encode_json, encode_reading, odom_message, pose_message,
 };
 
-/// Estimates and readings on the way out: some two seconds of them. Full, it refuses.
-const STREAM_QUEUE: usize = 1024;
+/// Estimates and readings on the way out: half a minute of them, for they are not in the record yet. What waits
+/// takes room, the queue itself does not. Full, it refuses.
+const STREAM_QUEUE: usize = 16_384;
 /// Events on the way out. Full, it refuses.
 const EVENT_QUEUE: usize = 256;
 /// Health goes out at least so often.
 const HEALTH_PERIOD: Duration = Duration::from_secs(1);
 
-/// The publishing task.
+/// The task that puts into words and numbers, and the one that sends.
 pub(super) struct Outbox {
     task: JoinHandle<BTreeMap<Topic, u64>>,
+    sender: Sender,
 }
 
 /// Where the threads leave what is to be published; nothing in here waits. The task ends when the last one is
@@ -95,29 +98,25 @@ impl Outlets {
 }
 
 impl Outbox {
-    /// Declares the publishers and starts the task.
+    /// Declares the publishers and starts the tasks.
     pub(super) async fn start(
         session: &zenoh::Session,
         machine: &config::Machine,
         boot: BootId,
         clock: Clock,
         counters: Arc<Counters>,
+        record: RecordInlet,
     ) -> Result<(Self, Outlets), LinkError> {
-        let mut channels = BTreeMap::new();
-        for topic in Topic::ALL {
-            // The journal is about readings, and worth nothing without them.
-            if matches!(topic, Topic::Sensor(_) | Topic::Journal) && !machine.publish.sensors {
-                continue;
-            }
-            let key = topic_key(&machine.link.site, &machine.id, topic);
-            channels.insert(topic, Channel { publisher: declare(session, topic, key).await?, sequence: 0 });
-        }
+        let (sender, network) = Sender::start(session, machine).await?;
         let (stream, stream_receiver) = mpsc::channel(STREAM_QUEUE);
         let (events, events_receiver) = mpsc::channel(EVENT_QUEUE);
         let (health, health_receiver) = watch::channel(None);
         let cabin_from_imu: Pose<Cabin, Imu> = machine.frames.cabin_from_imu.pose();
         let task = Publishing {
-            channels,
+            numbers: BTreeMap::new(),
+            published: Topic::ALL.into_iter().filter(|topic| is_published(machine, *topic)).collect(),
+            record,
+            network,
             boot,
             clock,
             counters: Arc::clone(&counters),
@@ -130,53 +129,33 @@ impl Outbox {
             },
             newest: None,
             told: None,
-            losses_told: [0; 4],
+            losses_told: [0; Counters::LOSSES],
             prediction: None,
             predictions_told: Times::default(),
             page: JournalPage::new(boot, 0, 0),
         };
         let task = tokio::spawn(task.run(stream_receiver, events_receiver, health_receiver));
-        Ok((Self { task }, Outlets { stream, events, health, counters }))
+        Ok((Self { task, sender }, Outlets { stream, events, health, counters }))
     }
 
     /// Waits until everything is sent; the outlets must be gone. Says how many messages of each topic were.
     pub(super) async fn stop(self) -> BTreeMap<Topic, u64> {
-        match self.task.await {
+        let published = match self.task.await {
             Ok(published) => published,
             Err(error) => {
                 tracing::error!(%error, "the publishing task has ended early");
                 BTreeMap::new()
             }
-        }
+        };
+        self.sender.stop().await;
+        published
     }
 }
 
-/// Nothing ever blocks on a slow link: it would close the link, and stop every other topic with it.
-async fn declare(
-    session: &zenoh::Session,
-    topic: Topic,
-    key: String,
-) -> Result<Publisher<'static>, LinkError> {
-    let priority = match topic {
-        Topic::Pose => Priority::RealTime,
-        Topic::Odom => Priority::InteractiveHigh,
-        Topic::Health | Topic::Event => Priority::DataHigh,
-        // Of one priority, so that a page does not overtake its readings.
-        Topic::Journal | Topic::Sensor(_) => Priority::Data,
-    };
-    let encoding = if topic.is_json() { Encoding::APPLICATION_JSON } else { Encoding::APPLICATION_CDR };
-    session
-        .declare_publisher(key.clone())
-        .congestion_control(CongestionControl::Drop)
-        .priority(priority)
-        .encoding(encoding)
-        .await
-        .map_err(|error| LinkError::Declare { key, reason: link::reason(&error) })
-}
-
-struct Channel {
-    publisher: Publisher<'static>,
-    sequence: u64,
+/// Whether the topic goes over the network; on board there are all.
+pub(super) fn is_published(machine: &config::Machine, topic: Topic) -> bool {
+    // The journal is about readings, and worth nothing without them.
+    machine.publish.sensors || !matches!(topic, Topic::Sensor(_) | Topic::Journal)
 }
 
 /// What every report repeats.
@@ -188,7 +167,11 @@ struct Identity {
 }
 
 struct Publishing {
-    channels: BTreeMap<Topic, Channel>,
+    /// Of the next message of each topic.
+    numbers: BTreeMap<Topic, u64>,
+    published: BTreeSet<Topic>,
+    record: RecordInlet,
+    network: mpsc::Sender<Packet>,
     boot: BootId,
     clock: Clock,
     counters: Arc<Counters>,
@@ -197,7 +180,7 @@ struct Publishing {
     newest: Option<(Stamp, Pose<World, Odom>)>,
     /// What the last published health said of what must be told at once.
     told: Option<(Mode, GnssState, bool)>,
-    losses_told: [u64; 4],
+    losses_told: [u64; Counters::LOSSES],
     prediction: Option<Latency>,
     predictions_told: Times,
     /// The journal's, not yet full.
@@ -217,72 +200,70 @@ impl Publishing {
             tokio::select! {
                 // All senders go together: the stream is the last to be empty.
                 outgoing = stream.recv() => match outgoing {
-                    Some(outgoing) => self.outgoing(outgoing).await,
+                    Some(outgoing) => self.outgoing(outgoing),
                     None => break,
                 },
-                Some(event) = events.recv() => self.event(&event).await,
+                Some(event) = events.recv() => self.event(&event),
                 Ok(()) = health.changed() => {
                     let health = health.borrow_and_update().clone();
                     if let Some(health) = health && self.told != Some(urgent(&health)) {
-                        self.health(health).await;
+                        self.health(health);
                     }
                 }
                 _ = second.tick() => {
                     self.prediction = self.counters.predict.latency_since(&mut self.predictions_told);
                     let health = health.borrow().clone();
                     if let Some(health) = health {
-                        self.health(health).await;
+                        self.health(health);
                     }
                     self.tell_losses();
                 }
             }
         }
         while let Ok(event) = events.try_recv() {
-            self.event(&event).await;
+            self.event(&event);
         }
-        self.turn_page().await;
-        self.channels.into_iter().map(|(topic, channel)| (topic, channel.sequence)).collect()
+        self.turn_page();
+        self.numbers.retain(|topic, _| self.published.contains(topic));
+        self.numbers
     }
 
-    async fn outgoing(&mut self, outgoing: Outgoing) {
+    fn outgoing(&mut self, outgoing: Outgoing) {
         match outgoing {
             Outgoing::Estimate(estimate) => {
                 self.newest = Some((estimate.stamp, estimate.world_from_odom));
                 if self.pace.is_due(estimate.stamp) {
                     let now = self.clock.now();
-                    self.put(Topic::Pose, estimate.stamp, now, pose_message(&estimate).encode()).await;
-                    self.put(Topic::Odom, estimate.stamp, now, odom_message(&estimate).encode()).await;
+                    self.put(Topic::Pose, estimate.stamp, now, pose_message(&estimate).encode());
+                    self.put(Topic::Odom, estimate.stamp, now, odom_message(&estimate).encode());
                 }
             }
             Outgoing::Reading { number, arrival: Arrival { arrival, reading }, seen } => {
                 let topic = Topic::Sensor(reading.sensor());
-                if !self.channels.contains_key(&topic) {
-                    return;
-                }
-                self.put(topic, reading.stamp(), arrival, encode_reading(&reading)).await;
-                self.open_page_at(number, self.page.takeovers).await;
+                self.put(topic, reading.stamp(), arrival, encode_reading(&reading));
+                self.open_page_at(number, self.page.takeovers);
                 self.page.push(reading.sensor(), seen);
                 if self.page.sensors.len() >= PAGE_READINGS_MAX {
-                    self.turn_page().await;
+                    self.turn_page();
                 }
             }
             Outgoing::Takeover { number, takeover } => {
-                self.open_page_at(takeover.before, number).await;
+                self.open_page_at(takeover.before, number);
                 self.page.taken_over = Some(takeover.solution_of);
-                self.turn_page().await;
+                self.turn_page();
             }
         }
     }
 
     /// Another page if this one does not go on there: something was lost on the way here.
-    async fn open_page_at(&mut self, end: u64, takeovers: u64) {
+    fn open_page_at(&mut self, end: u64, takeovers: u64) {
         if (self.page.end(), self.page.takeovers) != (end, takeovers) {
-            self.turn_page().await;
+            self.turn_page();
             self.page = JournalPage::new(self.boot, end, takeovers);
         }
     }
 
-    async fn turn_page(&mut self) {
+    fn turn_page(&mut self) {
         if self.page.is_empty() {
             return;
         }
@@ -290,23 +271,23 @@ impl Publishing {
         let page = std::mem::replace(&mut self.page, next);
         let now = self.clock.now();
         match encode_json("journal page", &page) {
-            Ok(payload) => self.put(Topic::Journal, now, now, payload).await,
+            Ok(payload) => self.put(Topic::Journal, now, now, payload),
             Err(error) => tracing::error!(%error, "a page of the journal cannot be published"),
         }
     }
 
-    async fn event(&mut self, event: &Event) {
+    fn event(&mut self, event: &Event) {
         tracing::info!(severity = ?event.severity, what = ?event.what, "event");
         match encode_json("event", event) {
             Ok(payload) => {
                 let stamp = Stamp::from_nanos(event.stamp_ns);
-                self.put(Topic::Event, stamp, self.clock.now(), payload).await;
+                self.put(Topic::Event, stamp, self.clock.now(), payload);
             }
             Err(error) => tracing::error!(%error, "an event cannot be published"),
         }
     }
 
-    async fn health(&mut self, health: Health) {
+    fn health(&mut self, health: Health) {
         let now = self.clock.now();
         let stamp = Stamp::from_nanos(health.stamp_ns);
         self.told = Some(urgent(&health));
@@ -320,23 +301,25 @@ impl Publishing {
             world_from_odom: self.newest.as_ref().map(|(_, world_from_odom)| world_from_odom.into()),
             estimate_age_s: self.newest.as_ref().map(|(stamp, _)| now.seconds_since(*stamp)),
             prediction: self.prediction,
+            record: Some(self.record.status()),
             health,
         };
         match encode_json("machine report", &report) {
-            Ok(payload) => self.put(Topic::Health, stamp, now, payload).await,
+            Ok(payload) => self.put(Topic::Health, stamp, now, payload),
             Err(error) => tracing::error!(%error, "health cannot be published"),
         }
     }
 
-    /// Numbers the message, then hands it to Zenoh, which waits a millisecond at most and then drops it: the
-    /// gap in the numbers tells the receiver.
-    async fn put(&mut self, topic: Topic, stamp: Stamp, sent: Stamp, payload: Vec<u8>) {
-        let Some(channel) = self.channels.get_mut(&topic) else { return };
-        let attachment = Attachment { sequence: channel.sequence, boot: self.boot, stamp, sent };
-        channel.sequence += 1;
-        let attachment = attachment.encode();
-        if let Err(error) = channel.publisher.put(payload).attachment(attachment.as_slice()).await {
-            tracing::debug!(%error, %topic, "a message could not be sent");
+    /// Numbers the message and hands it on. Waits for nobody.
+    fn put(&mut self, topic: Topic, stamp: Stamp, sent: Stamp, payload: Vec<u8>) {
+        let next = self.numbers.entry(topic).or_insert(0);
+        let attachment = Attachment { sequence: *next, boot: self.boot, stamp, sent };
+        *next += 1;
+        self.record.offer(topic, &attachment, &payload);
+        if self.published.contains(&topic)
+            && self.network.try_send(Packet { topic, attachment, payload }).is_err()
+        {
+            self.counters.unsent.fetch_add(1, Ordering::Relaxed);
         }
     }
 

@@ -106,6 +106,14 @@ pub(super) enum Feed {
 }
 
 impl Source {
+    /// What all randomness of a simulation comes from.
+    pub(super) fn seed(&self) -> Option<u64> {
+        match self {
+            Source::Simulation { scenario, .. } => Some(scenario.file.seed),
+            Source::Zenoh | Source::Play { .. } => None,
+        }
+    }
+
     /// Reads what is to be played.
     pub(super) fn prepare(self, machine: &config::Machine) -> Result<Prepared, SourceError> {
         match self {

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
 
-use super::{RecordError, Recorded, read_messages};
+use super::{RecordError, Recorded, read_in_order};
 use crate::sensors::{Arrival, Sensor};
 use crate::state::{LiveRun, Takeover};
 use crate::wire::{BootId, JournalPage, Topic, WireError, decode_journal_page, decode_reading};
@@ -21,19 +21,27 @@ pub struct BootRun {
 
 /// The boots of `machine` in a recording, oldest first.
 ///
-/// The order of the readings is that of the journal, and does not rest on times. What the journal does not tell
-/// of, such as the last readings before a power cut, is left out.
+/// The order of the readings is that of the journal, and does not rest on times, nor on the order of the file, in
+/// which messages that were fetched later come late. What the journal does not tell of, such as the last readings
+/// before a power cut, is left out.
 ///
 /// # Errors
 /// [`RecordError`] if the file cannot be read or is no MCAP file.
 pub fn read_live_runs(path: &Path, machine: &str) -> Result<Vec<BootRun>, RecordError> {
+    read_live_runs_of([path], machine)
+}
+
+/// The same for a recording in several files.
+///
+/// # Errors
+/// [`RecordError`] if a file cannot be read or is no MCAP file.
+pub fn read_live_runs_of<'a>(
+    paths: impl IntoIterator<Item = &'a Path>,
+    machine: &str,
+) -> Result<Vec<BootRun>, RecordError> {
     let mut shelf = Shelf::default();
     let mut pages = Vec::new();
-    for message in read_messages(path)? {
-        let message = message?;
-        if message.machine != machine {
-            continue;
-        }
+    for message in read_in_order(paths, machine)? {
         match message.topic {
             Topic::Sensor(sensor) => shelf.put(sensor, message),
             Topic::Journal => pages.push(decode_journal_page(&message.payload)),
@@ -51,7 +59,7 @@ pub fn read_live_runs(path: &Path, machine: &str) -> Result<Vec<BootRun>, Record
             }
         };
         if runs.last().is_none_or(|last| last.boot != page.boot) {
-            shelf.next_boot();
+            shelf.next_boot(page.boot);
             runs.push(BootRun { boot: page.boot, run: LiveRun::default(), gap: None });
         }
         if let Some(last) = runs.last_mut()
@@ -89,10 +97,11 @@ fn append(run: &mut LiveRun, page: &JournalPage, shelf: &mut Shelf) -> Result<()
 /// A reading with the number of its message.
 type Numbered = (u32, Result<Arrival, WireError>);
 
-/// The readings of each sensor in the order of the file, and which is the next one of the boot.
+/// The readings of each boot and sensor in their order, and which is the next one of the boot.
 #[derive(Default)]
 struct Shelf {
-    readings: BTreeMap<Sensor, VecDeque<Numbered>>,
+    readings: BTreeMap<(Option<BootId>, Sensor), VecDeque<Numbered>>,
+    boot: Option<BootId>,
     next: BTreeMap<Sensor, u32>,
 }
 
@@ -101,19 +110,24 @@ impl Shelf {
         let arrival = decode_reading(sensor, &message.payload)
             .map(|reading| Arrival { arrival: message.sent, reading });
         // The lower half, as the file has it.
-        self.readings.entry(sensor).or_default().push_back((message.sequence as u32, arrival));
+        let numbered = (message.sequence as u32, arrival);
+        self.readings.entry((message.boot, sensor)).or_default().push_back(numbered);
     }
 
     /// A boot counts its messages from 0.
-    fn next_boot(&mut self) {
+    fn next_boot(&mut self, boot: BootId) {
         self.next.clear();
+        self.boot = Some(boot);
     }
 
-    /// The next reading of the boot; what is left of the boot before is passed over.
+    /// The next reading of the boot. In recordings that do not tell boots, what is left of the boot before is passed
+    /// over.
     fn take(&mut self, sensor: Sensor) -> Result<Arrival, String> {
         let wanted = self.next.entry(sensor).or_default();
         let missing = || format!("message {wanted} of {sensor} is missing");
-        let row = self.readings.get_mut(&sensor).ok_or_else(missing)?;
+        let of_boot = (self.boot, sensor);
+        let row = if self.readings.contains_key(&of_boot) { of_boot } else { (None, sensor) };
+        let row = self.readings.get_mut(&row).ok_or_else(missing)?;
         while *wanted == 0 && row.front().is_some_and(|(sequence, _)| *sequence != 0) {
             row.pop_front();
         }

@@ -5,10 +5,23 @@
 //! another kind). `log_time` is when the recorder received a message, `publish_time` when the machine sent
 //! it, which for a reading is when it arrived at the machine. This room touches files, but reads no clock:
 //! the caller gives the time. Which sessions there are is the site's business.
+//!
+//! A topic has a channel for each boot of its machine, for each boot counts its messages anew. The files of a
+//! session agree on the numbers of their channels, so that they can be put one after the other as they are.
 
+mod check;
+mod complete;
+mod encode;
+mod gather;
+mod index;
 mod journal;
+mod ledger;
+mod merge;
+mod order;
+mod ranges;
 mod read;
 mod recover;
+mod ring;
 mod scan;
 mod write;
 
@@ -17,15 +30,23 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use crate::time::Stamp;
-use crate::wire::Topic;
+use crate::wire::{BootId, Topic};
 
-pub use journal::{BootRun, read_live_runs};
+pub use check::{Checked, Checker, Missing, Stream};
+pub use journal::{BootRun, read_live_runs, read_live_runs_of};
+pub use ledger::{Gap, GapCause, GapCounts, Ledger, Plan};
+pub use merge::{Piece, merge};
+pub use order::read_in_order;
+pub use ranges::Ranges;
 pub use read::{Arrivals, Messages, machines, read_arrivals, read_messages};
 pub use recover::{inspect, recover};
-pub use write::{RecordWriter, SYNC_EVERY};
+pub use ring::{FILE_BYTES, Ring, RingOptions, RingReader, Shelf};
+pub use write::{ChannelBook, RecordWriter, SYNC_EVERY};
 
 /// Name of the metadata record that says how a file was recovered.
 const RECOVERY: &str = "holdfast.recovery";
+/// In a channel's metadata: the boot that counts its messages.
+const BOOT: &str = "boot";
 
 /// A message to record, or out of a recording.
 #[derive(Clone, Debug, PartialEq)]
@@ -34,7 +55,9 @@ pub struct Recorded<P> {
     pub machine: String,
     /// What it says.
     pub topic: Topic,
-    /// The machine's count of this topic; the file keeps its lower 32 bits.
+    /// The run of the machine that counts; `None` if nobody told. Each has channels of its own.
+    pub boot: Option<BootId>,
+    /// The machine's count of this topic since the boot; the file keeps its lower 32 bits.
     pub sequence: u64,
     /// When the recorder received it.
     pub received: Stamp,
@@ -67,7 +90,8 @@ impl FileState {
         }
     }
 
-    fn from_name(name: &str) -> Option<Self> {
+    /// The state of that name.
+    pub fn from_name(name: &str) -> Option<Self> {
         [FileState::Complete, FileState::Recovered, FileState::Truncated]
             .into_iter()
             .find(|state| state.name() == name)
@@ -126,6 +150,14 @@ pub enum RecordError {
         /// Which file.
         path: PathBuf,
     },
+    /// It cannot be put together with the others of its session.
+    #[error("{}: cannot be put together with the others: {reason}", path.display())]
+    Apart {
+        /// Which file.
+        path: PathBuf,
+        /// What does not fit.
+        reason: &'static str,
+    },
     /// A message cannot be used.
     #[error("{}: {topic} of {machine}, message {sequence}: {source}", path.display())]
     Message {
@@ -150,6 +182,17 @@ pub enum RecordError {
         /// Messages that were found.
         found: u64,
     },
+}
+
+impl RecordError {
+    /// What the system says, if it was the system that refused.
+    pub fn system(&self) -> Option<&std::io::Error> {
+        match self {
+            RecordError::File { source, .. }
+            | RecordError::Mcap { source: mcap::McapError::Io(source), .. } => Some(source),
+            _ => None,
+        }
+    }
 }
 
 fn file_error<'a>(path: &'a Path, what: &'static str) -> impl Fn(std::io::Error) -> RecordError + 'a {

@@ -6,14 +6,14 @@ use std::path::{Path, PathBuf};
 use mcap::records::Record;
 
 use super::scan::Scanner;
-use super::{RecordError, Recorded, parse_channel_name, stamp_of};
+use super::{BOOT, RecordError, Recorded, parse_channel_name, stamp_of};
 use crate::sensors::Arrival;
-use crate::wire::{Topic, decode_reading};
+use crate::wire::{BootId, Topic, decode_reading};
 
 /// The messages of a file in the order in which they were received. What is torn or damaged is passed over.
 pub struct Messages {
     scanner: Scanner,
-    channels: BTreeMap<u16, (String, Topic)>,
+    channels: BTreeMap<u16, (String, Topic, Option<BootId>)>,
     ready: VecDeque<Recorded<Vec<u8>>>,
 }
 
@@ -36,15 +36,17 @@ impl Messages {
             match record {
                 Record::Channel(channel) => {
                     if let Some((machine, topic)) = parse_channel_name(&channel.topic) {
-                        self.channels.insert(channel.id, (machine.to_owned(), topic));
+                        let boot = channel.metadata.get(BOOT).and_then(|boot| boot.parse().ok());
+                        self.channels.insert(channel.id, (machine.to_owned(), topic, boot));
                     }
                 }
                 Record::Message { header, data } => {
                     // Other people's topics in the file are not ours to read.
-                    if let Some((machine, topic)) = self.channels.get(&header.channel_id) {
+                    if let Some((machine, topic, boot)) = self.channels.get(&header.channel_id) {
                         self.ready.push_back(Recorded {
                             machine: machine.clone(),
                             topic: *topic,
+                            boot: *boot,
                             sequence: u64::from(header.sequence),
                             received: stamp_of(header.log_time),
                             sent: stamp_of(header.publish_time),
@@ -86,7 +88,7 @@ pub fn machines(path: &Path) -> Result<Vec<String>, RecordError> {
         messages.take_block(block);
         messages.ready.clear();
     }
-    machines.extend(messages.channels.into_values().map(|(machine, _)| machine));
+    machines.extend(messages.channels.into_values().map(|(machine, ..)| machine));
     Ok(machines.into_iter().collect())
 }
 

@@ -5,11 +5,13 @@ use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-use mcap::MAGIC;
+use crc32fast::Hasher;
 use mcap::read::parse_record;
-use mcap::records::{Metadata, Record, op};
+use mcap::records::{Channel, Footer, Metadata, Record, op};
+use mcap::{MAGIC, McapError};
 
-use super::scan::Scanner;
+use super::complete::complete;
+use super::scan::{Damage, Scanner};
 use super::write::{FileWriter, create, finish};
 use super::{FileState, RECOVERY, RecordError, Summary};
 use super::{file_error, mcap_error, parse_channel_name, stamp_of, sync_folder_of};
@@ -24,7 +26,7 @@ const FOOTER_BYTES: u64 = 9 + 20;
 pub fn inspect(path: &Path) -> Result<Summary, RecordError> {
     let mut scanner = Scanner::open(path)?;
     let unfinished = || RecordError::Unfinished { path: path.to_owned() };
-    let (bytes, summary_start) = summary_start(path)?.ok_or_else(unfinished)?;
+    let End { bytes, summary_start, .. } = file_end(path)?.ok_or_else(unfinished)?;
     let mut summary = Summary {
         state: FileState::Complete,
         messages: 0,
@@ -34,7 +36,7 @@ pub fn inspect(path: &Path) -> Result<Summary, RecordError> {
         lost_bytes: 0,
     };
     let mut machines = BTreeSet::new();
-    let mut recovery_at = None;
+    let mut recovered_at = Vec::new();
     scanner.seek(summary_start)?;
     while let Some(records) = scanner.next_block()? {
         for record in records {
@@ -49,7 +51,7 @@ pub fn inspect(path: &Path) -> Result<Summary, RecordError> {
                     machines
                         .extend(parse_channel_name(&channel.topic).map(|(machine, _)| machine.to_owned()));
                 }
-                Record::MetadataIndex(index) if index.name == RECOVERY => recovery_at = Some(index.offset),
+                Record::MetadataIndex(index) if index.name == RECOVERY => recovered_at.push(index.offset),
                 _ => {}
             }
         }
@@ -57,14 +59,15 @@ pub fn inspect(path: &Path) -> Result<Summary, RecordError> {
     if scanner.damage.torn_bytes > 0 {
         return Err(unfinished());
     }
-    if let Some(at) = recovery_at {
+    // More than one if a recovery was cut short, or if files were put one after the other.
+    for at in recovered_at {
         scanner.seek(at)?;
         for record in scanner.next_block()?.unwrap_or_default() {
             if let Record::Metadata(Metadata { metadata, .. }) = record {
                 let state = metadata.get("state").and_then(|state| FileState::from_name(state));
-                summary.state = state.unwrap_or(FileState::Truncated);
-                let lost = metadata.get("lost_bytes").and_then(|bytes| bytes.parse().ok());
-                summary.lost_bytes = lost.unwrap_or(0);
+                summary.state = summary.state.max(state.unwrap_or(FileState::Truncated));
+                let lost: Option<u64> = metadata.get("lost_bytes").and_then(|bytes| bytes.parse().ok());
+                summary.lost_bytes += lost.unwrap_or(0);
             }
         }
     }
@@ -72,39 +75,77 @@ pub fn inspect(path: &Path) -> Result<Summary, RecordError> {
     Ok(summary)
 }
 
-/// Length of the file and where its summary starts, if the file ends as it should.
-fn summary_start(path: &Path) -> Result<Option<(u64, u64)>, RecordError> {
+/// How a closed file ends.
+pub(super) struct End {
+    /// Length of the file.
+    pub(super) bytes: u64,
+    pub(super) summary_start: u64,
+    /// Where the summary's own index begins; 0 if it has none.
+    pub(super) offsets_start: u64,
+    crc: u32,
+}
+
+/// How the file ends, if it ends as it should.
+pub(super) fn file_end(path: &Path) -> Result<Option<End>, RecordError> {
     let read = file_error(path, "cannot be read");
     let mut file = File::open(path).map_err(&read)?;
-    let length = file.metadata().map_err(&read)?.len();
+    let bytes = file.metadata().map_err(&read)?.len();
     let tail_bytes = FOOTER_BYTES + MAGIC.len() as u64;
-    if length < tail_bytes + MAGIC.len() as u64 {
+    if bytes < tail_bytes + MAGIC.len() as u64 {
         return Ok(None);
     }
     let mut tail = vec![0; tail_bytes as usize];
-    file.seek(SeekFrom::Start(length - tail_bytes)).map_err(&read)?;
+    file.seek(SeekFrom::Start(bytes - tail_bytes)).map_err(&read)?;
     file.read_exact(&mut tail).map_err(&read)?;
     let (footer, magic) = tail.split_at(FOOTER_BYTES as usize);
     if magic != MAGIC || footer[0] != op::FOOTER {
         return Ok(None);
     }
     match parse_record(op::FOOTER, &footer[9..]) {
-        Ok(Record::Footer(footer)) if (1..length - tail_bytes).contains(&footer.summary_start) => {
-            Ok(Some((length, footer.summary_start)))
+        Ok(Record::Footer(footer)) if (1..bytes - tail_bytes).contains(&footer.summary_start) => {
+            let Footer { summary_start, summary_offset_start: offsets_start, summary_crc: crc } = footer;
+            Ok(Some(End { bytes, summary_start, offsets_start, crc }))
         }
         _ => Ok(None),
     }
 }
 
-/// Leaves a finished file alone; of a torn one, writes what is whole into a proper file beside it, counts
-/// that, and puts it in the torn one's place in one step. A crash at any moment leaves the one or the other.
+impl End {
+    /// Whether the summary is as it was written; without a checksum it is taken to be.
+    pub(super) fn checksum_is_right(&self, path: &Path) -> Result<bool, RecordError> {
+        if self.crc == 0 {
+            return Ok(true);
+        }
+        let read = file_error(path, "cannot be read");
+        let mut file = File::open(path).map_err(&read)?;
+        file.seek(SeekFrom::Start(self.summary_start)).map_err(&read)?;
+        // Up to the checksum itself.
+        let mut left = (self.bytes - self.summary_start).saturating_sub(4 + MAGIC.len() as u64);
+        let mut crc = Hasher::new();
+        let mut block = vec![0; 1 << 16];
+        while left > 0 {
+            let part = &mut block[..left.min(1 << 16) as usize];
+            file.read_exact(part).map_err(&read)?;
+            crc.update(part);
+            left -= part.len() as u64;
+        }
+        Ok(crc.finalize() == self.crc)
+    }
+}
+
+/// Leaves a finished file alone. A torn one is completed where it lies. Of one that is damaged within, what is
+/// whole is written into a proper file beside it, counted, and put in the damaged one's place in one step. A
+/// crash at any moment leaves a proper file, or one that can be recovered.
 ///
 /// # Errors
-/// [`RecordError`] if the file cannot be read or written, or is no MCAP file; the torn file is kept then.
+/// [`RecordError`] if the file cannot be read or written, or is no MCAP file; what it held is kept then.
 pub fn recover(path: &Path) -> Result<Summary, RecordError> {
     match inspect(path) {
         Err(RecordError::Unfinished { .. }) => {}
         done => return done,
+    }
+    if complete(path)? {
+        return inspect(path);
     }
     let mut beside = path.as_os_str().to_owned();
     beside.push(".recovering");
@@ -142,42 +183,54 @@ fn rewrite(torn: &Path, beside: &Path) -> Result<u64, RecordError> {
             written += u64::from(copied.map_err(mcap_error(beside, "cannot be written"))?);
         }
     }
-    let damage = scanner.damage;
-    let state = if damage.messages_lost { FileState::Truncated } else { FileState::Recovered };
-    let lost_bytes = damage.torn_bytes + damage.damaged_bytes;
-    let entries = BTreeMap::from([
-        ("state".to_owned(), state.name().to_owned()),
-        ("lost_bytes".to_owned(), lost_bytes.to_string()),
-        ("messages".to_owned(), written.to_string()),
-    ]);
-    let note = Metadata { name: RECOVERY.to_owned(), metadata: entries };
+    let note = recovery_note(scanner.damage, written);
     writer.write_metadata(&note).map_err(mcap_error(beside, "cannot be written"))?;
     finish(&mut writer, &file, beside)?;
     Ok(written)
 }
 
-/// Copies a record; true if it was a message. Ids are given anew, for a damaged chunk may have taken some
-/// of the definitions along; messages whose channel is lost are lost.
+/// The metadata record that says how a file was recovered.
+pub(super) fn recovery_note(damage: Damage, messages: u64) -> Metadata {
+    let state = if damage.messages_lost { FileState::Truncated } else { FileState::Recovered };
+    let lost_bytes = damage.torn_bytes + damage.damaged_bytes;
+    let entries = BTreeMap::from([
+        ("state".to_owned(), state.name().to_owned()),
+        ("lost_bytes".to_owned(), lost_bytes.to_string()),
+        ("messages".to_owned(), messages.to_string()),
+    ]);
+    Metadata { name: RECOVERY.to_owned(), metadata: entries }
+}
+
+/// Copies a record; true if it was a message. Messages whose channel is lost with a damaged chunk are lost.
+/// Ids stay as they are, so that a session's files agree on them, unless they contradict each other.
 fn copy(
     record: Record<'static>,
     writer: &mut FileWriter,
     schemas: &mut BTreeMap<u16, u16>,
     channels: &mut BTreeMap<u16, u16>,
-) -> Result<bool, mcap::McapError> {
+) -> Result<bool, McapError> {
     match record {
         Record::Schema { header, data } => {
-            let id = writer.add_schema(&header.name, &header.encoding, &data)?;
+            let same = writer.add_schema_with_id(header.id, &header.name, &header.encoding, &data);
+            let id = match same {
+                Err(McapError::ConflictingSchemas(_)) => {
+                    writer.add_schema(&header.name, &header.encoding, &data)?
+                }
+                same => same?,
+            };
             schemas.insert(header.id, id);
         }
         Record::Channel(channel) => {
             let schema = if channel.schema_id == 0 { Some(&0) } else { schemas.get(&channel.schema_id) };
             if let Some(schema) = schema {
-                let id = writer.add_channel(
-                    *schema,
-                    &channel.topic,
-                    &channel.message_encoding,
-                    &channel.metadata,
-                )?;
+                let Channel { id, topic, message_encoding, metadata, .. } = &channel;
+                let same = writer.add_channel_with_id(*id, *schema, topic, message_encoding, metadata);
+                let id = match same {
+                    Err(McapError::ConflictingChannels(_)) => {
+                        writer.add_channel(*schema, topic, message_encoding, metadata)?
+                    }
+                    same => same?,
+                };
                 channels.insert(channel.id, id);
             }
         }

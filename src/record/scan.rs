@@ -8,13 +8,14 @@ use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use mcap::MAGIC;
-use mcap::read::{ChunkReader, parse_record};
+use mcap::read::parse_record;
 use mcap::records::{Record, op};
+use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
 use super::{RecordError, file_error};
 
 /// Opcode and length.
-const RECORD_HEAD_BYTES: u64 = 9;
+pub(super) const RECORD_HEAD_BYTES: u64 = 9;
 /// A chunk that claims to unpack to more is taken for damaged.
 const CHUNK_UNPACKED_BYTES_MAX: u64 = 1 << 30;
 
@@ -40,6 +41,65 @@ pub(super) struct Damage {
     pub(super) damaged_bytes: u64,
     /// Whether the data section was closed.
     pub(super) data_ended: bool,
+}
+
+/// A record as it lies in a file.
+pub(super) struct Raw {
+    pub(super) opcode: u8,
+    pub(super) body: Vec<u8>,
+    /// Where its head begins.
+    pub(super) at: u64,
+}
+
+impl Raw {
+    /// Where the next record begins.
+    pub(super) fn end(&self) -> u64 {
+        self.at + self.length()
+    }
+
+    /// With its head.
+    pub(super) fn length(&self) -> u64 {
+        RECORD_HEAD_BYTES + self.body.len() as u64
+    }
+}
+
+/// The records of a chunk, each with its place in the unpacked chunk; `None` if the chunk is damaged. Its
+/// checksum is looked at before its records: the library believes the lengths in them.
+pub(super) fn unpack(chunk: &Raw) -> Option<Vec<(u64, Record<'static>)>> {
+    let Ok(Record::Chunk { header, data }) = parse_record(chunk.opcode, &chunk.body) else { return None };
+    let unpacked_bytes = header.uncompressed_size;
+    if unpacked_bytes > CHUNK_UNPACKED_BYTES_MAX || header.compressed_size != data.len() as u64 {
+        return None;
+    }
+    let options = LinearReaderOptions::default()
+        .with_skip_start_magic(true)
+        .with_skip_end_magic(true)
+        .with_prevalidate_chunk_crcs(true)
+        .with_record_length_limit((unpacked_bytes as usize).max(chunk.body.len()));
+    let mut reader = LinearReader::new_with_options(options);
+    let head = reader.insert(RECORD_HEAD_BYTES as usize);
+    head[0] = chunk.opcode;
+    head[1..].copy_from_slice(&(chunk.body.len() as u64).to_le_bytes());
+    reader.notify_read(RECORD_HEAD_BYTES as usize);
+    let mut left = chunk.body.as_slice();
+    let mut records = Vec::new();
+    let mut at = 0;
+    while at < unpacked_bytes {
+        match reader.next_event()?.ok()? {
+            LinearReadEvent::ReadRequest(_) if left.is_empty() => return None,
+            LinearReadEvent::ReadRequest(wanted) => {
+                let (part, rest) = left.split_at(wanted.min(left.len()));
+                reader.insert(part.len()).copy_from_slice(part);
+                reader.notify_read(part.len());
+                left = rest;
+            }
+            LinearReadEvent::Record { data, opcode } => {
+                records.push((at, parse_record(opcode, data).ok()?.into_owned()));
+                at += RECORD_HEAD_BYTES + data.len() as u64;
+            }
+        }
+    }
+    (at == unpacked_bytes).then_some(records)
 }
 
 impl Scanner {
@@ -74,27 +134,18 @@ impl Scanner {
     /// file is torn.
     pub(super) fn next_block(&mut self) -> Result<Option<Vec<Record<'static>>>, RecordError> {
         while !self.ended {
-            let Some((opcode, body)) = self.next_raw()? else { break };
-            let parsed = parse_record(opcode, &body);
-            let Ok(record) = parsed else {
-                self.damaged(opcode, body.len());
+            let Some(raw) = self.next_raw()? else { break };
+            let Ok(record) = parse_record(raw.opcode, &raw.body) else {
+                self.damaged(raw.opcode, raw.body.len());
                 continue;
             };
             match record {
-                Record::Chunk { header, data } => {
-                    let claimed = header.uncompressed_size;
-                    let unpacked: Result<Vec<_>, _> = if claimed > CHUNK_UNPACKED_BYTES_MAX {
-                        Err(mcap::McapError::BadChunkLength { header: claimed, available: data.len() as u64 })
-                    } else {
-                        ChunkReader::new(header, &data).and_then(|records| {
-                            records.map(|record| record.map(Record::into_owned)).collect()
-                        })
-                    };
-                    match unpacked {
-                        Ok(records) => return Ok(Some(records)),
-                        Err(_) => self.damaged(op::CHUNK, body.len()),
+                Record::Chunk { .. } => match unpack(&raw) {
+                    Some(records) => {
+                        return Ok(Some(records.into_iter().map(|(_, record)| record).collect()));
                     }
-                }
+                    None => self.damaged(op::CHUNK, raw.body.len()),
+                },
                 Record::Footer(_) => self.ended = true,
                 record => {
                     self.damage.data_ended |= matches!(record, Record::DataEnd(_));
@@ -106,7 +157,11 @@ impl Scanner {
         Ok(None)
     }
 
-    fn next_raw(&mut self) -> Result<Option<(u8, Vec<u8>)>, RecordError> {
+    /// The next record as it lies in the file, the footer too; `None` where the file is torn or ends.
+    pub(super) fn next_raw(&mut self) -> Result<Option<Raw>, RecordError> {
+        if self.ended {
+            return Ok(None);
+        }
         let left = self.length - self.at;
         let mut head = [0; RECORD_HEAD_BYTES as usize];
         let head_bytes = left.min(RECORD_HEAD_BYTES) as usize;
@@ -125,8 +180,9 @@ impl Scanner {
         }
         let mut body = vec![0; body_bytes as usize];
         self.file.read_exact(&mut body).map_err(&read)?;
+        let at = self.at;
         self.at += RECORD_HEAD_BYTES + body_bytes;
-        Ok(Some((opcode, body)))
+        Ok(Some(Raw { opcode, body, at }))
     }
 
     fn damaged(&mut self, opcode: u8, bytes: usize) {

@@ -44,6 +44,7 @@ fn recorded(machine: &str, index: u64, arrival: &Arrival) -> Recorded<Vec<u8>> {
     Recorded {
         machine: machine.to_owned(),
         topic: Topic::Sensor(arrival.reading.sensor()),
+        boot: None,
         sequence: index,
         received: arrival.arrival + Span::from_millis(1),
         sent: arrival.arrival,
@@ -363,4 +364,111 @@ fn run_ends_where_something_is_missing_and_says_what() {
         let gap = runs[1].gap.as_ref().expect(name);
         assert!(gap.contains(expected), "{name}: {gap}");
     }
+}
+
+/// Three files of one session, as a writer leaves them that goes on in the next file.
+fn rolled(name: &str) -> (Folder, Vec<PathBuf>) {
+    let folder = Folder::new(name);
+    let mut book = ChannelBook::default();
+    let mut paths = Vec::new();
+    for part in 0..3_u64 {
+        let path = folder.file(&format!("s-{part:04}.mcap"));
+        let mut writer = RecordWriter::create_next(&path, book).expect("create");
+        writer.write_metadata("holdfast.session", BTreeMap::new()).expect("metadata");
+        for index in 300 * part..300 * part + 300 {
+            // The first file has one machine, and the second one a machine that comes before it in order.
+            for machine in if part == 0 { &["b"][..] } else { &["a", "b"] } {
+                let arrival = imu(index as i64);
+                let boot = Some(BootId(1));
+                writer.write(&Recorded { boot, ..recorded(machine, index, &arrival) }).expect("write");
+            }
+        }
+        book = writer.book().clone();
+        writer.finish().expect("finish");
+        paths.push(path);
+    }
+    (folder, paths)
+}
+
+#[test]
+fn files_of_a_session_are_one_file_whose_index_is_right() {
+    let (folder, mut paths) = rolled("merge");
+    // One of them was torn in between.
+    let bytes = std::fs::read(&paths[1]).expect("read");
+    std::fs::write(&paths[1], &bytes[..bytes.len() * 2 / 3]).expect("cut");
+    assert_eq!(recover(&paths[1]).expect("recovery").state, FileState::Truncated);
+    let merged = folder.file("merged.mcap");
+    let pieces = merge(&paths, None).expect("merge");
+    let loaded: Vec<Vec<u8>> = pieces.iter().map(|piece| piece.load().expect("load")).collect();
+    assert!(pieces.iter().zip(&loaded).all(|(piece, bytes)| piece.bytes() == bytes.len() as u64));
+    std::fs::write(&merged, loaded.concat()).expect("write");
+
+    let mut checker = Checker::default();
+    let checked = checker.check(&merged, |_| {}).expect("check");
+    assert_eq!(checked.faults, Vec::<String>::new());
+    assert_eq!(checked.summary.state, FileState::Truncated, "as the worst of them");
+    let parts = paths.iter().map(|path| inspect(path).expect("proper"));
+    assert_eq!(checked.summary.messages, parts.map(|part| part.messages).sum::<u64>());
+    assert_eq!(checked.summary.machines, ["a", "b"]);
+    let missing = checker.missing();
+    assert_eq!(missing.len(), 2);
+    let read = |path: &Path| read_messages(path).expect("open").collect::<Result<Vec<_>, _>>().expect("read");
+    let apart: Vec<_> = paths.iter().flat_map(|path| read(path)).collect();
+    assert_eq!(read(&merged), apart);
+
+    // A file of somebody else numbers its channels otherwise.
+    paths.push(folder.file("other.mcap"));
+    write(&paths[3], 10).finish().expect("finish");
+    let message = merge(&paths, None).expect_err("apart").to_string();
+    assert!(message.contains("other.mcap") && message.contains("other numbers"), "{message}");
+}
+
+#[test]
+fn session_that_runs_is_one_file_as_far_as_it_is_written() {
+    let (folder, paths) = rolled("merge-running");
+    let path = folder.file("s-0003.mcap");
+    let mut writer = RecordWriter::create_next(&path, ChannelBook::default()).expect("create");
+    writer.write(&Recorded { boot: Some(BootId(1)), ..recorded("b", 900, &imu(900)) }).expect("write");
+    writer.sync().expect("sync");
+    let whole = writer.bytes().expect("length");
+    let pieces = merge(&paths, Some((&path, whole))).expect("merge");
+    let merged = folder.file("merged.mcap");
+    let bytes: Vec<Vec<u8>> = pieces.iter().map(|piece| piece.load().expect("load")).collect();
+    std::fs::write(&merged, bytes.concat()).expect("write");
+    assert!(matches!(inspect(&merged), Err(RecordError::Unfinished { .. })));
+    let messages = read_messages(&merged).expect("open").count();
+    assert_eq!(messages, 300 + 600 + 600 + 1);
+}
+
+#[test]
+fn check_finds_every_damage_and_counts_what_is_missing() {
+    let (_folder, paths) = rolled("check");
+    let mut checker = Checker::default();
+    for path in &paths {
+        let checked = checker.check(path, |_| {}).expect("check");
+        assert_eq!((checked.faults.len(), checked.summary.state), (0, FileState::Complete));
+    }
+    assert_eq!((checker.missing(), checker.repeated()), (vec![], vec![]));
+    let mut without = Checker::default();
+    without.check(&paths[0], |_| {}).expect("check");
+    without.check(&paths[2], |_| {}).expect("check");
+    let stream =
+        Stream { machine: "b".to_owned(), boot: Some(BootId(1)), topic: recorded("b", 0, &imu(0)).topic };
+    assert_eq!(without.missing(), [Missing { stream: stream.clone(), messages: 300, gaps: 1 }]);
+    without.check(&paths[2], |_| {}).expect("check");
+    assert!(without.repeated().contains(&(stream, 300)));
+
+    // Every byte counts, apart from the length of the library's name and the like, which make it another file.
+    let path = &paths[0];
+    let bytes = std::fs::read(path).expect("read");
+    let mut found = 0;
+    for at in (0..bytes.len()).step_by(bytes.len() / 400) {
+        let mut damaged = bytes.clone();
+        damaged[at] ^= 0x10;
+        std::fs::write(path, &damaged).expect("damage");
+        let whole = Checker::default().check(path, |_| {}).is_ok_and(|checked| checked.faults.is_empty());
+        assert!(!whole, "byte {at} of {}", bytes.len());
+        found += 1;
+    }
+    assert!(found >= 400);
 }

@@ -9,10 +9,10 @@ use mcap::records::{MessageHeader, Metadata};
 use mcap::write::NoSeek;
 use mcap::{Compression, WriteOptions};
 
-use super::{FileState, RecordError, Recorded, Summary};
+use super::{BOOT, FileState, RecordError, Recorded, Summary};
 use super::{channel_name, file_error, mcap_error, sync_folder_of};
 use crate::time::{Span, Stamp};
-use crate::wire::{Topic, schema_of};
+use crate::wire::{BootId, Topic, schema_of};
 
 /// A message is on the disk at most so long after it was written here, if the caller ticks.
 pub const SYNC_EVERY: Span = Span::from_millis(900);
@@ -23,13 +23,47 @@ const CHUNK_BYTES: u64 = 4 * 1024 * 1024;
 /// into a chunk's header would leave it wrong on the disk until then.
 pub(super) type FileWriter = mcap::Writer<NoSeek<BufWriter<File>>>;
 
+/// Which id each channel has: the same in all files of a session, so that they can be put one after the other.
+#[derive(Clone, Debug, Default)]
+pub struct ChannelBook {
+    channels: BTreeMap<String, BTreeMap<(Topic, Option<BootId>), u16>>,
+    schemas: BTreeMap<&'static str, u16>,
+    count: u16,
+}
+
+impl ChannelBook {
+    /// So many channels at most; the format's own limit is not far.
+    const CHANNELS_MAX: u16 = 60_000;
+
+    /// Whether another session is due, with a new book.
+    pub fn is_full(&self) -> bool {
+        self.count >= Self::CHANNELS_MAX
+    }
+
+    fn channel(&mut self, machine: &str, topic: Topic, boot: Option<BootId>) -> u16 {
+        let count = &mut self.count;
+        let of_machine = self.channels.entry(machine.to_owned()).or_default();
+        *of_machine.entry((topic, boot)).or_insert_with(|| {
+            *count = count.saturating_add(1);
+            *count
+        })
+    }
+
+    fn schema(&mut self, name: &'static str) -> u16 {
+        let next = self.schemas.len() as u16 + 1;
+        *self.schemas.entry(name).or_insert(next)
+    }
+}
+
 /// A recording that is being written. Dropped without [`RecordWriter::finish`] it is closed as well as it
 /// goes, without saying so if that fails.
 pub struct RecordWriter {
     path: PathBuf,
     writer: FileWriter,
     file: File,
-    channels: BTreeMap<(String, Topic), u16>,
+    book: ChannelBook,
+    /// Those that are defined in this file.
+    channels: BTreeMap<String, BTreeMap<(Topic, Option<BootId>), u16>>,
     unsynced_since: Option<Stamp>,
     last_tick: Option<Stamp>,
     span: Option<(Stamp, Stamp)>,
@@ -60,11 +94,20 @@ impl RecordWriter {
     /// # Errors
     /// [`RecordError`] if the file cannot be created and synced.
     pub fn create(path: &Path) -> Result<Self, RecordError> {
+        Self::create_next(path, ChannelBook::default())
+    }
+
+    /// Creates a file that goes on where another one ended, whose book is given.
+    ///
+    /// # Errors
+    /// [`RecordError`] if the file cannot be created and synced.
+    pub fn create_next(path: &Path, book: ChannelBook) -> Result<Self, RecordError> {
         let (writer, file) = create(path)?;
         Ok(Self {
             path: path.to_owned(),
             writer,
             file,
+            book,
             channels: BTreeMap::new(),
             unsynced_since: None,
             last_tick: None,
@@ -76,6 +119,16 @@ impl RecordWriter {
     /// The file.
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// The ids of the channels so far.
+    pub fn book(&self) -> &ChannelBook {
+        &self.book
+    }
+
+    /// When the first and the last message so far were received.
+    pub fn span(&self) -> Option<(Stamp, Stamp)> {
+        self.span
     }
 
     /// Messages written so far.
@@ -102,7 +155,7 @@ impl RecordWriter {
     /// # Errors
     /// [`RecordError`] if the file cannot be written. After that every call fails: start another file.
     pub fn write<P: AsRef<[u8]>>(&mut self, message: &Recorded<P>) -> Result<(), RecordError> {
-        let channel_id = self.channel(&message.machine, message.topic)?;
+        let channel_id = self.channel(&message.machine, message.topic, message.boot)?;
         let header = MessageHeader {
             channel_id,
             sequence: message.sequence as u32,
@@ -167,36 +220,41 @@ impl RecordWriter {
     /// [`RecordError`] if the file cannot be written or synced.
     pub fn finish(mut self) -> Result<Summary, RecordError> {
         finish(&mut self.writer, &self.file, &self.path)?;
-        let mut machines: Vec<String> = self.channels.into_keys().map(|(machine, _)| machine).collect();
-        machines.dedup();
         let bytes = self.file.metadata().map_err(file_error(&self.path, "has no length"))?.len();
         Ok(Summary {
             state: FileState::Complete,
             messages: self.messages,
             bytes,
             span: self.span,
-            machines,
+            machines: self.channels.into_keys().collect(),
             lost_bytes: 0,
         })
     }
 
-    fn channel(&mut self, machine: &str, topic: Topic) -> Result<u16, RecordError> {
-        // A tuple key would need an owned string for each look-up; there are some hundred channels at most.
-        let key = (machine.to_owned(), topic);
-        if let Some(id) = self.channels.get(&key) {
+    /// Gives the file up after a failure: what was not written is forgotten, and the file is left to recovery.
+    pub fn abandon(self) {
+        let (_, unwritten) = self.writer.into_inner().into_inner().into_parts();
+        drop(unwritten);
+    }
+
+    fn channel(&mut self, machine: &str, topic: Topic, boot: Option<BootId>) -> Result<u16, RecordError> {
+        if let Some(id) = self.channels.get(machine).and_then(|topics| topics.get(&(topic, boot))) {
             return Ok(*id);
         }
         let failed = mcap_error(&self.path, "cannot be written");
         let (schema, encoding) = match schema_of(topic) {
             Some(schema) => {
-                let id = self.writer.add_schema(schema.name, "ros2msg", schema.definition.as_bytes());
-                (id.map_err(&failed)?, "cdr")
+                let (name, definition) = (schema.name, schema.definition.as_bytes());
+                let id = self.book.schema(name);
+                (self.writer.add_schema_with_id(id, name, "ros2msg", definition).map_err(&failed)?, "cdr")
             }
             None => (0, "json"),
         };
+        let id = self.book.channel(machine, topic, boot);
         let name = channel_name(machine, topic);
-        let id = self.writer.add_channel(schema, &name, encoding, &BTreeMap::new()).map_err(failed)?;
-        self.channels.insert(key, id);
+        let about = boot.map(|boot| (BOOT.to_owned(), boot.to_string())).into_iter().collect();
+        self.writer.add_channel_with_id(id, schema, &name, encoding, &about).map_err(failed)?;
+        self.channels.entry(machine.to_owned()).or_default().insert((topic, boot), id);
         Ok(id)
     }
 }

@@ -40,6 +40,7 @@ pub fn write_recording(
         writer.write(&Recorded {
             machine: machine.id.clone(),
             topic: Topic::Sensor(sensor),
+            boot: None,
             sequence: *sequence,
             received: arrival,
             sent: arrival,

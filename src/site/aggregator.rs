@@ -124,6 +124,7 @@ fn on_token(fleet: &mut Fleet, token: &Token) {
 
 fn on_message(fleet: &mut Fleet, message: &Message) {
     let (machine, error, received) = match message {
+        Message::Gaps { machine, gaps } => return fleet.gaps(machine, *gaps),
         Message::Unusable { machine, error, received } => (machine, error.to_string(), *received),
         Message::Publication(inbound) => match on_publication(fleet, inbound) {
             Ok(()) => return,

@@ -20,6 +20,13 @@ impl SiteClock {
         Self { at_start: Stamp::from_nanos(nanos), start: Instant::now() }
     }
 
+    /// As if it were that time now.
+    #[cfg(test)]
+    #[allow(clippy::disallowed_methods, reason = "time goes on in tests")]
+    pub fn starting_at(now: Stamp) -> Self {
+        Self { at_start: now, start: Instant::now() }
+    }
+
     pub fn now(&self) -> Stamp {
         let nanos = i64::try_from(self.start.elapsed().as_nanos()).unwrap_or(i64::MAX);
         self.at_start + Span::from_nanos(nanos)

@@ -9,8 +9,10 @@ use zenoh::sample::{Sample, SampleKind};
 
 use super::clock::SiteClock;
 use super::counters::{Counters, add};
-use super::{SiteError, recorder, zenoh_error};
+use super::sessions::Command;
+use super::{SiteError, zenoh_error};
 use crate::config;
+use crate::fleet::Gaps;
 use crate::link;
 use crate::time::Stamp;
 use crate::wire::{Attachment, Key, Topic, WireError, alive_selector};
@@ -41,6 +43,11 @@ pub(super) enum Message {
         error: WireError,
         received: Stamp,
     },
+    /// How much of a machine's messages the recording lacks.
+    Gaps {
+        machine: Arc<str>,
+        gaps: Gaps,
+    },
 }
 
 /// A liveliness token that appeared or vanished.
@@ -57,7 +64,7 @@ pub(super) struct Token {
 pub(super) struct Outlets {
     pub messages: mpsc::Sender<Message>,
     pub tokens: mpsc::Sender<Token>,
-    pub recorder: Option<SyncSender<recorder::Command>>,
+    pub recorder: Option<SyncSender<Command>>,
     pub counters: Arc<Counters>,
     pub clock: SiteClock,
 }
@@ -127,7 +134,7 @@ fn on_sample(outlets: &Outlets, sample: &Sample) {
             let payload: Arc<[u8]> = payload.to_bytes().as_ref().into();
             let inbound = Inbound { machine, topic, payload, attachment, received };
             if let Some(recorder) = &outlets.recorder {
-                let command = recorder::Command::Write(inbound.clone());
+                let command = Command::Write(inbound.clone());
                 if recorder.try_send(command).is_err() {
                     add(&outlets.counters.recorder_dropped, 1);
                 }

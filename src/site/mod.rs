@@ -5,17 +5,17 @@
 //! ```text
 //! Zenoh callbacks ── try_send ─▶ aggregator (owns the fleet) ── newest frame ─▶ API, live clients, metrics
 //!        │                                                                          ▲
-//!        └────────── try_send ─▶ recorder thread (owns the file) ──── progress ─────┘
+//!        └────────── try_send ─▶ recorder thread (room `sessions`) ── progress ─────┘
 //! ```
 //! Nothing waits for something behind it: full channels drop and count, live clients get the newest frame.
 
 mod aggregator;
-mod catalogue;
+mod backfill;
 mod clock;
 mod counters;
 mod http;
 mod inlet;
-mod recorder;
+mod sessions;
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -29,10 +29,10 @@ use tokio::task::JoinHandle;
 use crate::config;
 use crate::fleet::{Fleet, SiteDescription};
 use crate::link;
-use catalogue::Catalogue;
+use backfill::Backfill;
 use clock::SiteClock;
 use counters::Counters;
-use recorder::Recorder;
+use sessions::{Catalogue, Recorder};
 
 /// Messages between the callbacks and the aggregator: more than a second of forty machines. When it is full,
 /// new messages are dropped, which the gap counters show.
@@ -88,6 +88,7 @@ pub struct Site {
     session: zenoh::Session,
     inlet: inlet::Inlet,
     recorder: Option<Recorder>,
+    backfill: Option<Backfill>,
     stop: watch::Sender<bool>,
     tasks: Vec<JoinHandle<()>>,
 }
@@ -112,22 +113,27 @@ impl Site {
             id: config.id.clone(),
             name: config.display_name().to_owned(),
             origin: config.world.site_frame().origin(),
+            time_zone: config.time_zone.clone(),
             software: env!("CARGO_PKG_VERSION").to_owned(),
         };
         let (session, endpoints) = inlet::open(config).await?;
-        let catalogue = Arc::new(Catalogue::new(config.record.directory.join("sessions")));
-        let recorder = match config.record.enabled {
-            true => match Recorder::start(config, &catalogue, clock, Arc::clone(&counters)) {
-                Ok(recorder) => Some(recorder),
-                Err(error) => {
-                    link::close(session).await;
-                    return Err(error);
-                }
-            },
-            false => None,
+        let folder = config.record.directory.join("sessions");
+        let books = backfill::open(&config.record.directory, &folder);
+        let recording = match config.record.enabled {
+            true => Recorder::start(config, folder, clock, Arc::clone(&counters), books.books.clone())
+                .map(|recorder| (recorder.catalogue(), Some(recorder))),
+            false => Catalogue::visit(folder).map(|catalogue| (Arc::new(catalogue), None)),
+        };
+        let (catalogue, recorder) = match recording {
+            Ok(recording) => recording,
+            Err(error) => {
+                link::close(session).await;
+                return Err(error);
+            }
         };
 
         let (message_sender, messages) = mpsc::channel(MESSAGES_QUEUED);
+        let for_backfill = message_sender.clone();
         let (token_sender, tokens) = mpsc::channel(TOKENS_QUEUED);
         let outlets = inlet::Outlets {
             messages: message_sender,
@@ -144,6 +150,17 @@ impl Site {
         let fleet = Fleet::new(description);
         let (frame_sender, frames) = watch::channel(Arc::new(aggregator::Frame::of(&fleet, 0, clock.now())));
         let aggregator = aggregator::run(fleet, messages, tokens, frame_sender, clock, stopped.clone());
+        let backfill = recorder.as_ref().map(|recorder| {
+            let outlets = backfill::Outlets {
+                session: session.clone(),
+                site: config.id.clone(),
+                recorder: recorder.inbox(),
+                progress: recorder.progress(),
+                messages: for_backfill,
+                clock,
+            };
+            Backfill::start(books, outlets, frames.clone(), stopped.clone())
+        });
         let shared = http::Shared {
             frames,
             counters,
@@ -151,12 +168,13 @@ impl Site {
             session: session.clone(),
             record_directory: config.record.enabled.then(|| config.record.directory.clone()),
             recorder: recorder.as_ref().map(Recorder::progress),
+            recorder_inbox: recorder.as_ref().map(Recorder::inbox),
             clock,
             stopped: stopped.clone(),
         };
         let server = http::serve(listener, shared, stopped);
         let tasks = vec![tokio::spawn(aggregator), tokio::spawn(server)];
-        Ok(Self { address, endpoints, session, inlet, recorder, stop, tasks })
+        Ok(Self { address, endpoints, session, inlet, recorder, backfill, stop, tasks })
     }
 
     /// Where page and API are served.
@@ -174,12 +192,25 @@ impl Site {
         if tokio::time::timeout(STOP_TIMEOUT, self.inlet.undeclare()).await.is_err() {
             tracing::warn!("Zenoh did not end the subscriptions in time");
         }
+        let mut books = None;
+        if let (Some(backfill), Some(recorder)) = (self.backfill, &self.recorder) {
+            let (gaps, saving) = backfill.stop().await;
+            // The channel has room for most of them; a recording that does not say so lacks them all the same.
+            for gap in gaps {
+                let _ = recorder.inbox().try_send(backfill::note(&gap));
+            }
+            books = Some(saving);
+        }
         if let Some(recorder) = self.recorder {
             // The thread finishes its file; joining it must not hold up the others.
             let finished = tokio::task::spawn_blocking(move || recorder.finish());
             if tokio::time::timeout(2 * STOP_TIMEOUT, finished).await.is_err() {
                 tracing::error!("the recording did not end in time; it is recovered at the next start");
             }
+        }
+        if let Some(books) = books {
+            // A failure is told there; nothing waits for it.
+            let _ = tokio::task::spawn_blocking(move || books.save()).await;
         }
         self.stop.send_replace(true);
         for task in self.tasks {

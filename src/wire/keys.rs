@@ -1,4 +1,5 @@
-//! Zenoh keys: `holdfast/{site}/{machine}/{topic}` and the liveliness token `…/alive/{boot}`.
+//! Zenoh keys: `holdfast/{site}/{machine}/{topic}`, the queryable `…/record` and the liveliness token
+//! `…/alive/{boot}`.
 
 use super::{BootId, Topic};
 
@@ -7,6 +8,11 @@ const ROOT: &str = "holdfast";
 /// The key of a machine's topic.
 pub fn topic_key(site: &str, machine: &str, topic: Topic) -> String {
     format!("{ROOT}/{site}/{machine}/{}", topic.name())
+}
+
+/// Where a machine answers for its on-board record.
+pub fn record_key(site: &str, machine: &str) -> String {
+    format!("{ROOT}/{site}/{machine}/record")
 }
 
 /// The liveliness token of one run of a machine.

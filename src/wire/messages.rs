@@ -67,7 +67,7 @@ impl Header {
         cdr.string(&self.frame_id);
     }
 
-    fn read(cdr: &mut CdrReader<'_>) -> Result<Self, CdrError> {
+    pub(super) fn read(cdr: &mut CdrReader<'_>) -> Result<Self, CdrError> {
         let seconds = i64::from(cdr.i32()?);
         let at = cdr.at();
         let nanos = i64::from(cdr.u32()?);

@@ -5,6 +5,7 @@
 //! and never allocates more than it brought.
 
 mod attachment;
+mod backfill;
 mod cdr;
 mod convert;
 mod journal;
@@ -15,14 +16,15 @@ mod schema;
 mod topic;
 
 pub use attachment::{ATTACHMENT_BYTES, Attachment, BootId};
+pub use backfill::{BATCH_BYTES_MAX, Batch, HeldBoot, Holdings, Kept, Range, RecordRequest, Wanted};
 pub use cdr::{CdrError, CdrReader, CdrWriter};
 pub use convert::{decode_reading, encode_reading, odom_message, pose_message};
 pub use journal::{JournalPage, PAGE_READINGS_MAX};
-pub use keys::{Key, KeyError, alive_key, alive_selector, topic_key, topic_selector};
+pub use keys::{Key, KeyError, alive_key, alive_selector, record_key, topic_key, topic_selector};
 pub use messages::{Header, Imu, JointState, NavSatFix, NavSatStatus, Odometry, RosMessage};
 pub use report::{
-    Latency, MachineReport, Origin, RigidMotion, decode_event, decode_journal_page, decode_report,
-    encode_json,
+    Latency, MachineReport, OnBoardRecord, Origin, RigidMotion, decode_event, decode_journal_page,
+    decode_report, encode_json, payload_stamp,
 };
 pub use schema::{Schema, schema_of};
 pub use topic::Topic;

@@ -3,11 +3,12 @@
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use super::{BootId, JournalPage, WireError};
+use super::{BootId, CdrReader, Header, JournalPage, Topic, WireError};
 use crate::frames::Pose;
 use crate::frames::geodesy::Geodetic;
 use crate::lie::{Se3, So3, Vec3};
 use crate::state::{Event, Health};
+use crate::time::Stamp;
 
 /// More than any report or event of ours takes.
 const JSON_BYTES_MAX: usize = 256 * 1024;
@@ -46,6 +47,20 @@ pub struct Latency {
     pub max_us: f64,
 }
 
+/// How a machine's own record does.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "shells", derive(utoipa::ToSchema))]
+pub struct OnBoardRecord {
+    /// Whether there is one, now.
+    pub kept: bool,
+    /// Length of its files.
+    pub bytes: u64,
+    /// Messages that it had no room for, because the disk did not keep up.
+    pub dropped: u64,
+    /// Why there is none though there should be.
+    pub failure: Option<String>,
+}
+
 /// Topic `health`: everything one needs to know of a machine; each message stands for itself.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "shells", derive(utoipa::ToSchema))]
@@ -70,6 +85,9 @@ pub struct MachineReport {
     /// software that does not tell.
     #[serde(default)]
     pub prediction: Option<Latency>,
+    /// The machine's own record; `null` from software that does not tell.
+    #[serde(default)]
+    pub record: Option<OnBoardRecord>,
     /// State of the estimator.
     pub health: Health,
 }
@@ -110,6 +128,29 @@ impl RigidMotion {
 /// [`WireError::Json`] if the value has no JSON form; ours have.
 pub fn encode_json<T: Serialize>(message: &'static str, value: &T) -> Result<Vec<u8>, WireError> {
     serde_json::to_vec(value).map_err(|source| WireError::Json { message, source })
+}
+
+/// The stamp that goes with a message, out of its payload: of the reading or of the estimate, of the report, of the
+/// event. `None` for a page of the journal, whose stamp is when it was sent, and if there is none to be found.
+pub fn payload_stamp(topic: Topic, payload: &[u8]) -> Option<Stamp> {
+    #[derive(Deserialize)]
+    struct Stamped {
+        stamp_ns: i64,
+    }
+    #[derive(Deserialize)]
+    struct Reported {
+        health: Stamped,
+    }
+    let nanos = match topic {
+        Topic::Health => serde_json::from_slice::<Reported>(payload).ok()?.health.stamp_ns,
+        Topic::Event => serde_json::from_slice::<Stamped>(payload).ok()?.stamp_ns,
+        Topic::Journal => return None,
+        // All of them begin with a header, and a header with its stamp.
+        Topic::Pose | Topic::Odom | Topic::Sensor(_) => {
+            return Header::read(&mut CdrReader::new(payload).ok()?).ok().map(|header| header.stamp);
+        }
+    };
+    Some(Stamp::from_nanos(nanos))
 }
 
 /// Reads the payload of topic `health`.
@@ -164,6 +205,7 @@ mod tests {
             world_from_odom: None,
             estimate_age_s: None,
             prediction: Some(Latency { mean_us: 1.5, p99_us: 4.0, max_us: 20.0 }),
+            record: Some(OnBoardRecord { kept: true, bytes: 5, dropped: 0, failure: None }),
             health: Health {
                 stamp_ns: 1,
                 mode: Mode::Initializing,

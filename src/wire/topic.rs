@@ -2,10 +2,13 @@
 
 use std::fmt;
 
+use serde::{Deserialize, Serialize};
+
 use crate::sensors::Sensor;
 
 /// What a machine publishes; the name is the last part of the Zenoh key and of the topic in a recording.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
 pub enum Topic {
     /// Accurate pose in the site frame, `nav_msgs/Odometry`.
     Pose,
@@ -62,6 +65,19 @@ impl Topic {
     /// Whether its messages are JSON; the others are CDR.
     pub const fn is_json(self) -> bool {
         matches!(self, Topic::Health | Topic::Event | Topic::Journal)
+    }
+}
+
+impl From<Topic> for String {
+    fn from(topic: Topic) -> String {
+        topic.name().to_owned()
+    }
+}
+
+impl TryFrom<String> for Topic {
+    type Error = String;
+    fn try_from(name: String) -> Result<Self, String> {
+        Topic::from_name(&name).ok_or_else(|| format!("\"{name:.40}\" is no topic"))
     }
 }
 

@@ -1,4 +1,5 @@
 //! Runs the built binary, in folders that belong to one test.
+#![allow(dead_code, reason = "each test takes what it needs")]
 
 use std::fs;
 use std::path::{Path, PathBuf};

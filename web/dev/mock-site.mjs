@@ -125,6 +125,7 @@ function machine(id, now_ms) {
         position_sigma_m: sigma,
         heading_sigma_deg: 0.1,
         worst_test_ratio: 0.31,
+        gnss_inflation: [1, 1],
         worst_test_sensor: "gnss_left",
         sensors: [
           sensor("imu", 100, seconds),
@@ -177,7 +178,13 @@ function machine(id, now_ms) {
 function fleet() {
   const now_ms = Date.now();
   return {
-    site: { id: "site", name: "Gravel pit Hard, lot 3", world: WORLD, software: "0.1.0" },
+    site: {
+      id: "site",
+      name: "Gravel pit Hard, lot 3",
+      time_zone: "Europe/Zurich",
+      world: WORLD,
+      software: "0.1.0",
+    },
     time: rfc3339(now_ms),
     machines: ["a", "b"].map((id) => machine(id, now_ms)),
   };
@@ -185,9 +192,13 @@ function fleet() {
 
 function sessions() {
   return {
+    recording: { state: "recording", why: null, session: "20261123T050000Z", missed: 0, next_session: null },
     sessions: [
       {
         id: "20261123T050000Z",
+        name: "",
+        notes: "",
+        tags: [],
         state: "recording",
         started: rfc3339(started_ms),
         ended: null,
@@ -198,6 +209,9 @@ function sessions() {
       },
       {
         id: "20261122T063000Z",
+        name: "Trench 4",
+        notes: "",
+        tags: ["trench"],
         state: "recovered",
         started: rfc3339(started_ms - 80_000_000),
         ended: rfc3339(started_ms - 58_000_000),

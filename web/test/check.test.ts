@@ -53,6 +53,9 @@ describe("the list of recordings", () => {
   it("is checked as well", () => {
     const session = {
       id: "s",
+      name: "",
+      notes: "",
+      tags: [],
       state: "recording",
       started: "2026-11-23T05:00:00Z",
       ended: null,
@@ -61,9 +64,19 @@ describe("the list of recordings", () => {
       machines: ["a"],
       files: 1,
     };
-    expect(checkSessions({ sessions: [session] })).toEqual([session]);
-    expect(() => checkSessions({ sessions: [{ ...session, state: "lost" }] })).toThrow(
+    const recording = {
+      state: "paused",
+      why: "the disk is full",
+      session: "s",
+      missed: 3,
+      next_session: null,
+    };
+    expect(checkSessions({ recording, sessions: [session] })).toEqual({ recording, sessions: [session] });
+    expect(() => checkSessions({ recording, sessions: [{ ...session, state: "lost" }] })).toThrow(
       "sessions.sessions[0].state",
+    );
+    expect(() => checkSessions({ recording: { ...recording, why: 1 }, sessions: [] })).toThrow(
+      "sessions.recording.why",
     );
   });
 });

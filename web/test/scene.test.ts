@@ -11,7 +11,7 @@ function stateOf(view: MachineView, trace = new Trace(view.boot)): State {
   return {
     now_ms: 0,
     link: { phase: "open", since_ms: 0 },
-    site: { id: "site", name: "Site", world: WORLD, software: "0" },
+    site: { id: "site", name: "Site", time_zone: "UTC", world: WORLD, software: "0" },
     siteTime_ms: 0,
     machines: new Map([[view.id, machine]]),
     unreadable: { count: 0, last: null },

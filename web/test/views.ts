@@ -46,6 +46,7 @@ export function machineView(changes: Partial<MachineView> = {}): MachineView {
         position_sigma_m: 0.008,
         heading_sigma_deg: 0.1,
         worst_test_ratio: 0.3,
+        gnss_inflation: [1, 1],
         worst_test_sensor: "gnss_left",
         sensors: [
           { sensor: "imu", rate_hz: 100, age_s: 0.01, received: 4000, refused: 0, last_refusal: null },
@@ -64,7 +65,11 @@ export function machineView(changes: Partial<MachineView> = {}): MachineView {
 }
 
 export function fleetView(machines: MachineView[]): FleetView {
-  return { site: { id: "site", name: "Site", world: WORLD, software: "0.1.0" }, time: TIME, machines };
+  return {
+    site: { id: "site", name: "Site", time_zone: "UTC", world: WORLD, software: "0.1.0" },
+    time: TIME,
+    machines,
+  };
 }
 
 export function snapshot(machines: MachineView[]): Snapshot {

@@ -1,6 +1,4 @@
-//! The machines and the sessions, on request.
-
-use std::sync::Arc;
+//! The machines, on request.
 
 use axum::Json;
 use axum::extract::rejection::PathRejection;
@@ -11,20 +9,12 @@ use serde::Serialize;
 use super::Shared;
 use super::problem::Problem;
 use crate::fleet::{FleetView, MachineView};
-use crate::site::catalogue::SessionView;
 
 /// All machines.
 #[derive(Serialize, utoipa::ToSchema)]
 pub(super) struct MachinesView {
     /// In the order of their ids.
     machines: Vec<MachineView>,
-}
-
-/// All sessions.
-#[derive(Serialize, utoipa::ToSchema)]
-pub(super) struct SessionsView {
-    /// Newest first.
-    sessions: Vec<SessionView>,
 }
 
 /// The whole site, as it is now.
@@ -52,20 +42,6 @@ pub(super) async fn machine(
 ) -> Result<Json<MachineView>, Problem> {
     let Path(id) = id.map_err(malformed)?;
     shared.frame().machine(&id).cloned().map(Json).ok_or_else(|| Problem::not_found("machine", &id))
-}
-
-/// All recordings.
-#[utoipa::path(get, path = "/api/v1/sessions", tag = "sessions",
-    responses((status = OK, body = SessionsView)))]
-pub(super) async fn sessions(State(shared): State<Shared>) -> Result<Json<SessionsView>, Problem> {
-    let catalogue = Arc::clone(&shared.catalogue);
-    let progress = shared.progress();
-    let list = tokio::task::spawn_blocking(move || catalogue.list(progress.as_ref()));
-    let sessions = list.await.map_err(|error| {
-        tracing::error!("the sessions cannot be listed: {error}");
-        Problem::new(StatusCode::INTERNAL_SERVER_ERROR, "the sessions cannot be listed")
-    })?;
-    Ok(Json(SessionsView { sessions }))
 }
 
 pub(super) fn malformed(rejection: PathRejection) -> Problem {

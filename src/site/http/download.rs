@@ -1,49 +1,67 @@
 //! Downloads of recordings, whole or in part.
 
+use std::collections::VecDeque;
 use std::io::SeekFrom;
-use std::sync::Arc;
 
 use axum::body::{Body, Bytes};
-use axum::extract::rejection::PathRejection;
-use axum::extract::{Path, State};
+use axum::extract::rejection::{PathRejection, QueryRejection};
+use axum::extract::{Path, Query, State};
 use axum::http::header::{
     ACCEPT_RANGES, CONTENT_DISPOSITION, CONTENT_LENGTH, CONTENT_RANGE, CONTENT_TYPE, ETAG, IF_NONE_MATCH,
     RANGE,
 };
 use axum::http::{HeaderMap, HeaderValue, StatusCode};
 use axum::response::{IntoResponse, Response};
+use serde::Deserialize;
 use tokio::fs::File;
 use tokio::io::{AsyncReadExt, AsyncSeekExt};
 
 use super::Shared;
 use super::api::malformed;
 use super::problem::Problem;
-use crate::site::catalogue::SessionFile;
+use super::sessions::ask;
+use crate::record::{Piece, merge};
+use crate::site::sessions::Located;
 
 /// Bytes that are read at once.
 const BLOCK_BYTES: u64 = 256 * 1024;
 
-/// The recording of a session as an MCAP file; of a running session, what is finished of it.
+/// Which part of a session's recording.
+#[derive(Debug, Deserialize)]
+pub(super) struct Wanted {
+    file: Option<u32>,
+}
+
+/// The recording of a session as one MCAP file, also if it has several: their data are put one after the other
+/// on the way out. Of a running session, what is on the disk, without an index.
 #[utoipa::path(get, path = "/api/v1/sessions/{id}/recording.mcap", tag = "sessions",
     params(("id" = String, Path, description = "The session's id"),
+        ("file" = Option<u32>, Query, description = "Only the session's file of that number, as it is"),
         ("Range" = Option<String>, Header, description = "One range of bytes")),
     responses((status = OK, content_type = "application/octet-stream", body = Vec<u8>),
         (status = PARTIAL_CONTENT, content_type = "application/octet-stream", body = Vec<u8>),
+        (status = BAD_REQUEST, body = Problem, content_type = "application/problem+json"),
         (status = NOT_FOUND, body = Problem, content_type = "application/problem+json"),
+        (status = CONFLICT, description = "Its files cannot be put together: fetch them one by one",
+            body = Problem, content_type = "application/problem+json"),
         (status = RANGE_NOT_SATISFIABLE, body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn recording(
     State(shared): State<Shared>,
     id: Result<Path<String>, PathRejection>,
+    wanted: Result<Query<Wanted>, QueryRejection>,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
     let Path(id) = id.map_err(malformed)?;
-    let catalogue = Arc::clone(&shared.catalogue);
-    let (progress, wanted) = (shared.progress(), id.clone());
-    let located = tokio::task::spawn_blocking(move || catalogue.locate(&wanted, progress.as_ref())).await;
-    let located = located.map_err(|error| unreadable(&id, &error))?;
-    let SessionFile { path, bytes, finished } = located.ok_or_else(|| Problem::not_found("session", &id))?;
+    let Query(Wanted { file }) =
+        wanted.map_err(|rejection| Problem::new(StatusCode::BAD_REQUEST, rejection.body_text()))?;
+    let asked = id.clone();
+    let download =
+        ask(&shared, move |catalogue, progress| plan(catalogue.locate(&asked, progress), &asked, file))
+            .await??;
+    let Download { name, pieces, finished } = download;
+    let bytes: u64 = pieces.iter().map(Piece::bytes).sum();
     // A finished file is never written again, except by recovery, which changes its length.
-    let tag = finished.then(|| format!("\"{id}-{bytes}\""));
+    let tag = finished.then(|| format!("\"{name}-{bytes}\""));
     let known = headers.get(IF_NONE_MATCH).and_then(|value| value.to_str().ok());
     if known.is_some() && known == tag.as_deref() {
         return Ok(StatusCode::NOT_MODIFIED.into_response());
@@ -58,16 +76,13 @@ pub(super) async fn recording(
             return Err(Problem::new(StatusCode::RANGE_NOT_SATISFIABLE, detail));
         }
     };
-    let mut file = File::open(&path).await.map_err(|error| unreadable(&id, &error))?;
-    file.seek(SeekFrom::Start(first)).await.map_err(|error| unreadable(&id, &error))?;
-    let blocks = futures_util::stream::try_unfold((file, length), |(mut file, left)| async move {
-        if left == 0 {
-            return Ok::<_, std::io::Error>(None);
-        }
-        let mut block = vec![0; left.min(BLOCK_BYTES) as usize];
-        file.read_exact(&mut block).await?;
-        let left = left - block.len() as u64;
-        Ok(Some((Bytes::from(block), (file, left))))
+    let mut source = Source { pieces: cut(pieces, first, length), open: None };
+    // What cannot be opened is better told now than by a broken transfer.
+    let begin = source.next().await.map_err(|error| unreadable(&id, &error))?;
+    let blocks = futures_util::stream::try_unfold((source, begin), |(mut source, ready)| async move {
+        let Some(block) = ready else { return Ok::<_, std::io::Error>(None) };
+        let next = source.next().await?;
+        Ok(Some((block, (source, next))))
     });
     let mut response = (status, Body::from_stream(blocks)).into_response();
     let mut set = |name, value: String| {
@@ -78,7 +93,7 @@ pub(super) async fn recording(
     set(CONTENT_TYPE, "application/octet-stream".to_owned());
     set(CONTENT_LENGTH, length.to_string());
     set(ACCEPT_RANGES, "bytes".to_owned());
-    set(CONTENT_DISPOSITION, format!("attachment; filename=\"{id}.mcap\""));
+    set(CONTENT_DISPOSITION, format!("attachment; filename=\"{name}.mcap\""));
     if status == StatusCode::PARTIAL_CONTENT {
         set(CONTENT_RANGE, format!("bytes {first}-{}/{bytes}", first + length - 1));
     }
@@ -91,6 +106,111 @@ pub(super) async fn recording(
 fn unreadable(id: &str, error: &dyn std::fmt::Display) -> Problem {
     tracing::error!("session {id} cannot be read: {error}");
     Problem::new(StatusCode::INTERNAL_SERVER_ERROR, "the recording cannot be read")
+}
+
+/// What is to be sent.
+struct Download {
+    /// Without its ending.
+    name: String,
+    pieces: Vec<Piece>,
+    finished: bool,
+}
+
+/// Finds out where the bytes are. Reads the disk.
+fn plan(located: Option<Located>, id: &str, file: Option<u32>) -> Result<Download, Problem> {
+    let Located { closed, open, finished } = located.ok_or_else(|| Problem::not_found("session", id))?;
+    let numbers: Vec<String> = closed
+        .iter()
+        .map(|(number, _)| number)
+        .chain(open.iter().map(|(number, ..)| number))
+        .map(u32::to_string)
+        .collect();
+    let as_it_is = |path: &std::path::Path| {
+        let about = std::fs::metadata(path).map_err(|error| unreadable(id, &error))?;
+        Ok(vec![Piece::Of { path: path.to_owned(), start: 0, bytes: about.len() }])
+    };
+    if let Some(wanted) = file {
+        let name = format!("{id}-{wanted:04}");
+        if let Some((_, path)) = closed.iter().find(|(number, _)| *number == wanted) {
+            return Ok(Download { name, pieces: as_it_is(path)?, finished: true });
+        }
+        return match open.filter(|(number, ..)| *number == wanted) {
+            Some((_, path, bytes)) => {
+                Ok(Download { name, pieces: vec![Piece::Of { path, start: 0, bytes }], finished: false })
+            }
+            None => {
+                let detail = format!("session \"{id}\" has the files {}, not {wanted}", numbers.join(", "));
+                Err(Problem::new(StatusCode::NOT_FOUND, detail))
+            }
+        };
+    }
+    let name = id.to_owned();
+    if let ([(_, path)], None) = (closed.as_slice(), &open) {
+        return Ok(Download { name, pieces: as_it_is(path)?, finished });
+    }
+    let paths: Vec<_> = closed.into_iter().map(|(_, path)| path).collect();
+    let unfinished = open.as_ref().map(|(_, path, bytes)| (path.as_path(), *bytes));
+    let pieces = merge(&paths, unfinished).map_err(|error| {
+        tracing::warn!("session {id} has no recording in one piece: {error}");
+        let detail = format!(
+            "the files of this session cannot be put together ({error}); fetch them one by one with ?file=, {}",
+            numbers.join(", ")
+        );
+        Problem::new(StatusCode::CONFLICT, detail)
+    })?;
+    Ok(Download { name, pieces, finished })
+}
+
+/// What is left of pieces: which bytes of each.
+type Cuts = VecDeque<(Piece, u64, u64)>;
+
+/// `length` bytes from `first` on.
+fn cut(pieces: Vec<Piece>, mut first: u64, mut length: u64) -> Cuts {
+    let mut cuts = Cuts::new();
+    for piece in pieces {
+        let bytes = piece.bytes();
+        let from = first.min(bytes);
+        let count = (bytes - from).min(length);
+        if count > 0 {
+            cuts.push_back((piece, from, count));
+        }
+        first -= from;
+        length -= count;
+    }
+    cuts
+}
+
+/// The bytes, block by block.
+struct Source {
+    pieces: Cuts,
+    /// The file that is being read, and how much of it is still wanted.
+    open: Option<(File, u64)>,
+}
+
+impl Source {
+    async fn next(&mut self) -> std::io::Result<Option<Bytes>> {
+        loop {
+            if let Some((file, left)) = &mut self.open {
+                let mut block = vec![0; (*left).min(BLOCK_BYTES) as usize];
+                file.read_exact(&mut block).await?;
+                *left -= block.len() as u64;
+                if *left == 0 {
+                    self.open = None;
+                }
+                return Ok(Some(Bytes::from(block)));
+            }
+            let Some((piece, from, count)) = self.pieces.pop_front() else { return Ok(None) };
+            if let Piece::Of { path, start, .. } = &piece {
+                let mut file = File::open(path).await?;
+                file.seek(SeekFrom::Start(start + from)).await?;
+                self.open = Some((file, count));
+                continue;
+            }
+            let loaded = tokio::task::spawn_blocking(move || piece.load()).await?;
+            let loaded = Bytes::from(loaded.map_err(std::io::Error::other)?);
+            return Ok(Some(loaded.slice(from as usize..(from + count) as usize)));
+        }
+    }
 }
 
 /// What a `Range` header asks for.
@@ -127,6 +247,26 @@ fn parse_range(text: &str, bytes: u64) -> Range {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn any_range_of_several_pieces_is_what_it_is_of_the_whole() {
+        let parts: [&[u8]; 4] = [b"abc", b"", b"defg", b"h"];
+        let whole = parts.concat();
+        for first in 0..=whole.len() {
+            for length in 0..=whole.len() - first {
+                let pieces = parts.map(|part| Piece::Bytes(part.to_vec())).into();
+                let cuts = cut(pieces, first as u64, length as u64);
+                let bytes: Vec<u8> = cuts
+                    .iter()
+                    .flat_map(|(piece, from, count)| {
+                        let bytes = piece.load().expect("bytes");
+                        bytes[*from as usize..(from + count) as usize].to_vec()
+                    })
+                    .collect();
+                assert_eq!(bytes, whole[first..first + length]);
+            }
+        }
+    }
 
     #[test]
     fn ranges_are_read_as_http_has_them() {

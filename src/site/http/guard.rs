@@ -2,7 +2,8 @@
 //!
 //! There are no accounts yet, so the server is bound to loopback. A page from elsewhere can still reach it
 //! through the visitor's browser: by a name that resolves to 127.0.0.1 (DNS rebinding), which the check of
-//! `Host` stops, or by a WebSocket, which browsers let pass between sites, and the check of `Origin` stops.
+//! `Host` stops, or by a WebSocket or a form, which browsers let pass between sites, and the check of `Origin`
+//! stops.
 
 use std::net::IpAddr;
 
@@ -11,7 +12,7 @@ use axum::http::header::{
     CACHE_CONTROL, CONTENT_SECURITY_POLICY, HOST, HeaderName, ORIGIN, REFERRER_POLICY, UPGRADE,
     X_CONTENT_TYPE_OPTIONS,
 };
-use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri};
+use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
@@ -22,7 +23,7 @@ const POLICY: &str = "default-src 'self'; img-src 'self' data: blob:; worker-src
                       object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'";
 
 pub(super) async fn guard(request: Request, next: Next) -> Response {
-    let mut response = match admit(request.headers(), request.uri()) {
+    let mut response = match admit(request.method(), request.headers(), request.uri()) {
         Ok(()) => next.run(request).await,
         Err(problem) => problem.into_response(),
     };
@@ -40,7 +41,7 @@ pub(super) async fn guard(request: Request, next: Next) -> Response {
     response
 }
 
-fn admit(headers: &HeaderMap, uri: &Uri) -> Result<(), Problem> {
+fn admit(method: &Method, headers: &HeaderMap, uri: &Uri) -> Result<(), Problem> {
     let text = |name: HeaderName| headers.get(name).map(|value| value.to_str().unwrap_or(""));
     let host = uri.authority().map(axum::http::uri::Authority::as_str).or_else(|| text(HOST));
     let Some(host) = host else {
@@ -52,10 +53,12 @@ fn admit(headers: &HeaderMap, uri: &Uri) -> Result<(), Problem> {
             "this server answers to localhost and loopback addresses only",
         ));
     }
-    let Some(origin) = text(ORIGIN).filter(|_| headers.contains_key(UPGRADE)) else { return Ok(()) };
+    let only_looks = method.is_safe() && !headers.contains_key(UPGRADE);
+    let Some(origin) = text(ORIGIN).filter(|_| !only_looks) else { return Ok(()) };
     let of_this_page = origin.split_once("://").is_some_and(|(_, authority)| authority == host);
     if !of_this_page {
-        return Err(Problem::new(StatusCode::FORBIDDEN, "WebSockets are for this server's own pages only"));
+        let detail = "WebSockets and changes are for this server's own pages only";
+        return Err(Problem::new(StatusCode::FORBIDDEN, detail));
     }
     Ok(())
 }
@@ -97,16 +100,22 @@ mod tests {
     }
 
     #[test]
-    fn websocket_of_another_origin_is_refused() {
-        let admitted = |origin: &'static str| {
-            let headers = [("host", "127.0.0.1:8080"), ("upgrade", "websocket"), ("origin", origin)];
+    fn websocket_or_change_of_another_origin_is_refused() {
+        let admitted = |method: Method, upgrade: bool, origin: &'static str| {
+            let headers = [("host", "127.0.0.1:8080"), ("origin", origin), ("upgrade", "websocket")];
+            let headers = headers.into_iter().take(if upgrade { 3 } else { 2 });
             let headers =
                 headers.map(|(name, value)| (HeaderName::from_static(name), HeaderValue::from_static(value)));
-            admit(&HeaderMap::from_iter(headers), &Uri::from_static("/api/v1/live")).is_ok()
+            let uri = Uri::from_static("/api/v1/live");
+            admit(&method, &HeaderMap::from_iter(headers), &uri).is_ok()
         };
-        assert!(admitted("http://127.0.0.1:8080"));
+        let own = "http://127.0.0.1:8080";
+        assert!(admitted(Method::GET, true, own) && admitted(Method::POST, false, own));
         for origin in ["http://evil.example", "null", "http://127.0.0.1:9090", "http://localhost:8080", ""] {
-            assert!(!admitted(origin), "{origin}");
+            assert!(!admitted(Method::GET, true, origin), "{origin}");
+            assert!(!admitted(Method::POST, false, origin), "{origin}");
+            assert!(!admitted(Method::PATCH, false, origin), "{origin}");
+            assert!(admitted(Method::GET, false, origin), "{origin}");
         }
     }
 }

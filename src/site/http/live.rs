@@ -262,6 +262,7 @@ mod tests {
             id: "site".to_owned(),
             name: "Site".to_owned(),
             origin: Geodetic { latitude_deg: 47.0, longitude_deg: 8.0, altitude_m: 400.0 },
+            time_zone: "UTC".to_owned(),
             software: "0".to_owned(),
         })
     }

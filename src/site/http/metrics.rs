@@ -18,9 +18,9 @@ use prometheus_client::registry::Registry;
 
 use super::Shared;
 use super::problem::Problem;
-use super::ready::disk_free_bytes;
 use crate::fleet::{MachineView, Presence};
 use crate::site::counters::get;
+use crate::site::sessions::{RecordingState, disk_free_bytes};
 use crate::state::GnssState;
 
 type Labels = Vec<(&'static str, String)>;
@@ -61,6 +61,7 @@ fn machines(registry: &mut Registry, machines: &[MachineView]) {
     let pose_rate = Floats::default();
     let received = Family::<Labels, prometheus_client::metrics::counter::Counter>::default();
     let missed = Family::<Labels, prometheus_client::metrics::counter::Counter>::default();
+    let gaps = Integers::default();
     for machine in machines {
         let labels = || vec![("machine", machine.id.clone())];
         let and =
@@ -69,6 +70,12 @@ fn machines(registry: &mut Registry, machines: &[MachineView]) {
         pose_rate.get_or_create(&labels()).set(machine.link.pose_rate_hz);
         received.get_or_create(&labels()).inc_by(machine.link.received);
         missed.get_or_create(&labels()).inc_by(machine.link.missed);
+        let link = &machine.link;
+        for (state, count) in
+            [("open", link.gaps_open), ("filled", link.gaps_filled), ("lost", link.gaps_lost)]
+        {
+            gaps.get_or_create(&and("state", state)).set(integer(count));
+        }
         if let Some(offset_s) = machine.link.clock_offset_s {
             clock_offset.get_or_create(&labels()).set(offset_s);
         }
@@ -102,6 +109,11 @@ fn machines(registry: &mut Registry, machines: &[MachineView]) {
     registry.register("pose_rate_hertz", "Poses in the last second", pose_rate);
     registry.register("samples_received", "Messages that arrived", received);
     registry.register("samples_missed", "Messages that were sent but did not arrive", missed);
+    registry.register(
+        "recording_gaps",
+        "Messages that the recording lacks, lacked, or will always lack",
+        gaps,
+    );
 }
 
 fn site(registry: &mut Registry, shared: &Shared) {
@@ -127,6 +139,17 @@ fn site(registry: &mut Registry, shared: &Shared) {
             "recording_bytes",
             "Recorded since the start",
             ConstCounter::new(progress.total_bytes),
+        );
+        let paused = i64::from(progress.state == RecordingState::Paused);
+        registry.register(
+            "recording_paused",
+            "1 if what arrives should be recorded, but cannot",
+            ConstGauge::new(paused),
+        );
+        registry.register(
+            "recording_missed",
+            "Messages that came while the recording was paused",
+            ConstCounter::new(progress.missed),
         );
         registry.register(
             "recording_unsynced_seconds",

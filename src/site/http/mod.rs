@@ -8,9 +8,11 @@ mod live;
 mod metrics;
 mod problem;
 mod ready;
+mod sessions;
 
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::sync::mpsc::SyncSender;
 
 use axum::Router;
 use axum::http::header::CONTENT_TYPE;
@@ -24,11 +26,10 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use super::aggregator::Frame;
-use super::catalogue::Catalogue;
 use super::clock::SiteClock;
 use super::counters::Counters;
 use super::ended;
-use super::recorder::Progress;
+use super::sessions::{Catalogue, Command, Progress};
 use problem::Problem;
 
 /// What the handlers see of the site.
@@ -41,6 +42,7 @@ pub(super) struct Shared {
     /// `None` where nothing is recorded.
     pub record_directory: Option<PathBuf>,
     pub recorder: Option<watch::Receiver<Progress>>,
+    pub recorder_inbox: Option<SyncSender<Command>>,
     pub clock: SiteClock,
     pub stopped: watch::Receiver<bool>,
 }
@@ -76,7 +78,9 @@ fn router(shared: Shared) -> Router {
         .routes(routes!(api::fleet))
         .routes(routes!(api::machines))
         .routes(routes!(api::machine))
-        .routes(routes!(api::sessions))
+        .routes(routes!(sessions::list, sessions::start))
+        .routes(routes!(sessions::session, sessions::edit))
+        .routes(routes!(sessions::stop))
         .routes(routes!(download::recording))
         .routes(routes!(live::live))
         .routes(routes!(ready::healthz))

@@ -1,7 +1,5 @@
 //! Whether the server lives, and whether it can do its work. Machines that are offline are not its fault.
 
-use std::path::Path;
-
 use axum::Json;
 use axum::extract::State;
 use axum::http::StatusCode;
@@ -10,6 +8,7 @@ use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 
 use super::Shared;
+use crate::site::sessions::{RecordingState, disk_free_bytes};
 
 /// Less free space than this is not enough, bytes.
 const DISK_FLOOR_BYTES: u64 = 200_000_000;
@@ -50,8 +49,8 @@ fn reasons(shared: &Shared) -> Vec<String> {
         reasons.push(format!("the fleet was not updated for {frame_age_s:.1} s"));
     }
     if let Some(progress) = shared.progress() {
-        if let Some(failure) = progress.failure {
-            reasons.push(format!("nothing is recorded: {failure}"));
+        if progress.state == RecordingState::Paused {
+            reasons.push(format!("nothing is recorded: {}", progress.why.unwrap_or_default()));
         }
         let unsynced_s = progress.unsynced_since.map_or(0.0, |since| shared.clock.now().seconds_since(since));
         if unsynced_s > UNSYNCED_MAX_S {
@@ -65,26 +64,4 @@ fn reasons(shared: &Shared) -> Vec<String> {
         _ => {}
     }
     reasons
-}
-
-/// Space that is left where `path` is; `None` if the system does not tell.
-#[cfg(unix)]
-pub(super) fn disk_free_bytes(path: &Path) -> Option<u64> {
-    use std::os::unix::ffi::OsStrExt as _;
-    let path = std::ffi::CString::new(path.as_os_str().as_bytes()).ok()?;
-    let mut answer = std::mem::MaybeUninit::<libc::statvfs>::uninit();
-    // SAFETY: the path ends with NUL and outlives the call; the answer is read only if it was written.
-    let answer = unsafe {
-        if libc::statvfs(path.as_ptr(), answer.as_mut_ptr()) != 0 {
-            return None;
-        }
-        answer.assume_init()
-    };
-    #[allow(clippy::unnecessary_cast, reason = "the types differ between systems")]
-    Some(answer.f_bavail as u64 * answer.f_frsize as u64)
-}
-
-#[cfg(not(unix))]
-pub(super) fn disk_free_bytes(_path: &Path) -> Option<u64> {
-    None
 }

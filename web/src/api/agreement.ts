@@ -4,7 +4,7 @@
  */
 
 import type { components } from "./generated";
-import type { FleetView, LiveMessage, MachineView, SessionView } from "./types";
+import type { FleetView, LiveMessage, MachineView, SessionsView } from "./types";
 
 type Schemas = components["schemas"];
 
@@ -22,7 +22,7 @@ export type Agreement = [
   Holds<Same<FleetView, Schemas["FleetView"]>>,
   Holds<Same<MachineView, Schemas["MachineView"]>>,
   Holds<Same<LiveMessage, Schemas["LiveMessage"]>>,
-  Holds<Same<SessionView, Schemas["SessionView"]>>,
+  Holds<Same<SessionsView, Schemas["SessionsView"]>>,
 ];
 
 type Holds<T extends true> = T;

@@ -19,10 +19,13 @@ import {
   type OutageReport,
   type PoseView,
   PRESENCES,
+  RECORDING_STATES,
+  type RecordingView,
   SENSORS,
   SESSION_STATES,
   SEVERITIES,
   type SensorHealth,
+  type SessionsView,
   type SessionView,
   type Site,
   type Snapshot,
@@ -54,8 +57,8 @@ export const checkLiveMessage: Check<LiveMessage> = (value, path) => {
   throw new MessageError(`${path}.type`, '"snapshot", "delta" or "error"', kind);
 };
 
-export function checkSessions(value: unknown): SessionView[] {
-  return object<{ sessions: SessionView[] }>({ sessions: list(session) })(value, "sessions").sessions;
+export function checkSessions(value: unknown): SessionsView {
+  return object<SessionsView>({ recording, sessions: list(session) })(value, "sessions");
 }
 
 function describe(value: unknown): string {
@@ -128,7 +131,7 @@ const vector3: Check<Vector3> = (value, path) => {
 
 const worldOrigin = object<WorldOrigin>({ latitude_deg: number, longitude_deg: number, altitude_m: number });
 
-const site = object<Site>({ id: text, name: text, world: worldOrigin, software: text });
+const site = object<Site>({ id: text, name: text, time_zone: text, world: worldOrigin, software: text });
 
 const ellipse95 = object<Ellipse95>({ semi_major_m: number, semi_minor_m: number, bearing_deg: number });
 
@@ -172,6 +175,7 @@ const health = object<Health>({
   mode: oneOf(MODES),
   waits_for: nullable(text),
   gnss: oneOf(GNSS_STATES),
+  gnss_inflation: list(number),
   position_sigma_m: nullable(number),
   heading_sigma_deg: nullable(number),
   worst_test_ratio: number,
@@ -221,8 +225,19 @@ const checkDelta = object<Delta>({
   dropped: number,
 });
 
+const recording = object<RecordingView>({
+  state: oneOf(RECORDING_STATES),
+  why: nullable(text),
+  session: nullable(text),
+  missed: number,
+  next_session: nullable(time),
+});
+
 const session = object<SessionView>({
   id: text,
+  name: text,
+  notes: text,
+  tags: list(text),
   state: oneOf(SESSION_STATES),
   started: time,
   ended: nullable(time),

@@ -82,14 +82,33 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** All recordings. */
-        get: operations["sessions"];
+        /** All recordings, and whether what arrives is recorded. */
+        get: operations["list"];
+        put?: never;
+        /** Starts a session; the one that runs ends, and no message is lost in between. */
+        post: operations["start"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/sessions/{id}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** One session and its files. */
+        get: operations["session"];
         put?: never;
         post?: never;
         delete?: never;
         options?: never;
         head?: never;
-        patch?: never;
+        /** Writes name, notes or tags of a session; what is left out stays as it is. */
+        patch: operations["edit"];
         trace?: never;
     };
     "/api/v1/sessions/{id}/recording.mcap": {
@@ -99,10 +118,30 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** The recording of a session as an MCAP file; of a running session, what is finished of it. */
+        /**
+         * The recording of a session as one MCAP file, also if it has several: their data are put one after the other
+         *     on the way out. Of a running session, what is on the disk, without an index.
+         */
         get: operations["recording"];
         put?: never;
         post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/sessions/{id}/stop": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /** Ends the session that runs. Nothing is recorded until another one is started, or begins by itself. */
+        post: operations["stop"];
         delete?: never;
         options?: never;
         head?: never;
@@ -182,6 +221,41 @@ export interface components {
              */
             semi_minor_m: number;
         };
+        /** @description One of the files of a session. */
+        FileView: {
+            /**
+             * Format: int64
+             * @description Its length.
+             */
+            bytes: number;
+            /**
+             * Format: date-time
+             * @description When its last message was received; `null` without messages, or if that is not known.
+             */
+            ended?: string | null;
+            /**
+             * Format: int64
+             * @description Bytes that were given up in recovery.
+             */
+            lost_bytes: number;
+            /**
+             * Format: int64
+             * @description Messages in it.
+             */
+            messages: number;
+            /**
+             * Format: int32
+             * @description What `?file=` names it by.
+             */
+            number: number;
+            /**
+             * Format: date-time
+             * @description When its first message was received; `null` without messages, or if that is not known.
+             */
+            started?: string | null;
+            /** @description How whole it is. */
+            state: components["schemas"]["SessionState"];
+        };
         /** @description The whole site at one time. */
         FleetView: {
             /** @description In the order of their ids. */
@@ -205,6 +279,11 @@ export interface components {
             accel_bias: number[];
             /** @description State of the fixes. */
             gnss: components["schemas"]["GnssState"];
+            /**
+             * @description What the receiver's sigmas are multiplied by, since innovations showed that it is surer than it should be:
+             *     horizontal, vertical; 1 is as reported.
+             */
+            gnss_inflation?: number[];
             /** @description Gyro bias, rad/s, in the IMU frame. */
             gyro_bias: number[];
             /**
@@ -352,6 +431,24 @@ export interface components {
          * @enum {string}
          */
         Mode: "initializing" | "main" | "fallback" | "imu_only";
+        /** @description What is to be written to a session; what is left out stays as it is. */
+        NotesChange: {
+            /**
+             * @description What it is called: 200 characters at most.
+             * @default null
+             */
+            name: string | null;
+            /**
+             * @description Anything: 20 000 characters at most.
+             * @default null
+             */
+            notes: string | null;
+            /**
+             * @description To find it by: 50 at most, of 1 to 100 characters.
+             * @default null
+             */
+            tags: string[] | null;
+        };
         /** @description A GNSS outage that goes on, or the last one that ended. */
         OutageReport: {
             /** @description What was wrong with the fixes when it began. */
@@ -465,6 +562,30 @@ export interface components {
             /** @description What is wrong, in words; empty if it is ready. */
             reasons: string[];
         };
+        /**
+         * @description Whether what arrives is recorded.
+         * @enum {string}
+         */
+        RecordingState: "recording" | "paused" | "stopped" | "off";
+        /** @description What the recorder does. */
+        RecordingView: {
+            /**
+             * Format: int64
+             * @description Messages that arrived since the start, but were not recorded because the recording was paused.
+             */
+            missed: number;
+            /**
+             * Format: date-time
+             * @description When the next session begins by itself; `null` if none does.
+             */
+            next_session?: string | null;
+            /** @description The session that runs, if one does. */
+            session?: string | null;
+            /** @description Whether what arrives is recorded. */
+            state: components["schemas"]["RecordingState"];
+            /** @description Why it is not, in words; `null` if it is. */
+            why?: string | null;
+        };
         /** @description What a client may send. */
         Request: {
             /** @description Only these machines; all if it is left out. */
@@ -509,6 +630,13 @@ export interface components {
             /** @description Which one. */
             sensor: components["schemas"]["Sensor"];
         };
+        /** @description A session and its files. */
+        SessionDetail: {
+            /** @description Its files, in order of their numbers. */
+            files: components["schemas"]["FileView"][];
+            /** @description The session. */
+            session: components["schemas"]["SessionView"];
+        };
         /**
          * @description How whole a session is.
          * @enum {string}
@@ -540,16 +668,24 @@ export interface components {
              * @description Messages in it.
              */
             messages: number;
+            /** @description What people call it; empty if it has no name. */
+            name: string;
+            /** @description What people wrote to it. */
+            notes: string;
             /**
              * Format: date-time
              * @description When it was started.
              */
             started: string;
-            /** @description How whole it is. */
+            /** @description How whole it is: as its worst file. */
             state: components["schemas"]["SessionState"];
+            /** @description To find it by. */
+            tags: string[];
         };
         /** @description All sessions. */
         SessionsView: {
+            /** @description What the recorder does. */
+            recording: components["schemas"]["RecordingView"];
             /** @description Newest first. */
             sessions: components["schemas"]["SessionView"][];
         };
@@ -566,6 +702,8 @@ export interface components {
             name: string;
             /** @description Version of the site server. */
             software: string;
+            /** @description IANA name of the time zone in which the site's days and shifts begin. */
+            time_zone: string;
             /** @description Origin of the site frame. */
             world: components["schemas"]["WorldView"];
         };
@@ -700,7 +838,7 @@ export interface operations {
             };
         };
     };
-    sessions: {
+    list: {
         parameters: {
             query?: never;
             header?: never;
@@ -719,9 +857,166 @@ export interface operations {
             };
         };
     };
-    recording: {
+    start: {
         parameters: {
             query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** @description What it is called; may be left out */
+        requestBody?: {
+            content: {
+                "application/json": components["schemas"]["NotesChange"] | null;
+            };
+        };
+        responses: {
+            201: {
+                headers: {
+                    /** @description The session */
+                    Location?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["SessionView"];
+                };
+            };
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            415: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            507: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    session: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The session's id */
+                id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["SessionDetail"];
+                };
+            };
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    edit: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The session's id */
+                id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["NotesChange"];
+            };
+        };
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["SessionView"];
+                };
+            };
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            415: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            507: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    recording: {
+        parameters: {
+            query?: {
+                /** @description Only the session's file of that number, as it is */
+                file?: number;
+            };
             header?: {
                 /** @description One range of bytes */
                 Range?: string | null;
@@ -750,6 +1045,14 @@ export interface operations {
                     "application/octet-stream": number[];
                 };
             };
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -758,7 +1061,62 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            /** @description Its files cannot be put together: fetch them one by one */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
             416: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    stop: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The session's id */
+                id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["SessionView"];
+                };
+            };
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            503: {
                 headers: {
                     [name: string]: unknown;
                 };

@@ -1,9 +1,9 @@
 /** The list of recordings. */
 
 import { checkSessions } from "./check";
-import type { SessionView } from "./types";
+import type { SessionsView } from "./types";
 
-export async function fetchSessions(): Promise<SessionView[]> {
+export async function fetchSessions(): Promise<SessionsView> {
   const response = await fetch("/api/v1/sessions", {
     headers: { accept: "application/json" },
     cache: "no-store",

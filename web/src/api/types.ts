@@ -30,6 +30,9 @@ export type Sensor = (typeof SENSORS)[number];
 export const SESSION_STATES = ["recording", "complete", "recovered", "truncated"] as const;
 export type SessionState = (typeof SESSION_STATES)[number];
 
+export const RECORDING_STATES = ["recording", "paused", "stopped", "off"] as const;
+export type RecordingState = (typeof RECORDING_STATES)[number];
+
 export type Vector3 = readonly [number, number, number];
 
 /** Origin of the site's east-north-up frame. */
@@ -42,6 +45,8 @@ export interface WorldOrigin {
 export interface Site {
   id: string;
   name: string;
+  /** IANA name. */
+  time_zone: string;
   world: WorldOrigin;
   software: string;
 }
@@ -98,6 +103,8 @@ export interface Health {
   mode: Mode;
   waits_for: string | null;
   gnss: GnssState;
+  /** Of the reported sigmas, horizontal and vertical; 1 is as reported. */
+  gnss_inflation: readonly number[];
   position_sigma_m: number | null;
   heading_sigma_deg: number | null;
   /** Over 1 was refused. */
@@ -167,8 +174,21 @@ export interface LiveError {
 
 export type LiveMessage = Snapshot | Delta | LiveError;
 
+export interface RecordingView {
+  state: RecordingState;
+  /** Why nothing is recorded. */
+  why: string | null;
+  session: string | null;
+  /** Messages that came while it was paused. */
+  missed: number;
+  next_session: string | null;
+}
+
 export interface SessionView {
   id: string;
+  name: string;
+  notes: string;
+  tags: string[];
   state: SessionState;
   started: string;
   ended: string | null;
@@ -176,4 +196,9 @@ export interface SessionView {
   messages: number;
   machines: string[];
   files: number;
+}
+
+export interface SessionsView {
+  recording: RecordingView;
+  sessions: SessionView[];
 }

@@ -136,6 +136,11 @@ export const de: Text = {
     machines: "Maschinen",
     download: "Laden",
     downloadLabel: (id) => `Laden: Aufzeichnung ${id} (MCAP)`,
+    notRecording: {
+      paused: "Die Aufzeichnung ruht",
+      stopped: "Die Aufzeichnung ist angehalten",
+      off: "Es wird nichts aufgezeichnet",
+    },
     states: {
       recording: "läuft",
       complete: "vollständig",

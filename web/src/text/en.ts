@@ -134,6 +134,11 @@ export const en = {
     machines: "Machines",
     download: "Download",
     downloadLabel: (id: string) => `Download recording ${id} (MCAP)`,
+    notRecording: {
+      paused: "Recording is paused",
+      stopped: "Recording is stopped",
+      off: "Nothing is recorded",
+    },
     states: { recording: "recording", complete: "complete", recovered: "recovered", truncated: "cut short" },
   },
 };

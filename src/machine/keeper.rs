@@ -1,0 +1,268 @@
+//! The on-board record: a thread that writes the ring, and one that answers the site's questions about it.
+//!
+//! ```text
+//! outbox ──messages──▶ keeper (owns the ring) ──▶ disk
+//!                                                   │
+//! site ──questions──▶ answerer ◀────────────────────┘
+//! ```
+//! The outbox never waits for the disk, and the machine works without a record if the disk refuses: it says so in
+//! its health, and tries again.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use zenoh::Wait;
+use zenoh::query::{Query, Queryable};
+
+use super::MachineError;
+use super::clock;
+use super::counters::Counters;
+use super::outbox::is_published;
+use crate::config;
+use crate::link::{self, LinkError};
+use crate::record::{RecordError, Recorded, Ring, RingOptions, Shelf};
+use crate::time::{Span, Stamp};
+use crate::wire::{
+    Attachment, BATCH_BYTES_MAX, BootId, Holdings, Kept, OnBoardRecord, RecordRequest, Topic, encode_json,
+    record_key,
+};
+
+/// Messages on the way to the disk: half a minute of them, for a disk that thinks. Full, new ones are dropped and
+/// counted.
+const MESSAGES_QUEUED: usize = 16_384;
+/// Questions that wait. Full, the asker is told to ask again.
+const QUESTIONS_QUEUED: usize = 4;
+/// How often the thread looks at the clock while nothing comes.
+const TURN: Duration = Duration::from_millis(100);
+/// A disk that refused is tried again after so long.
+const RETRY_AFTER: Duration = Duration::from_secs(5);
+
+/// The threads.
+pub(super) struct Keeper {
+    thread: Option<JoinHandle<()>>,
+    stopping: Arc<AtomicBool>,
+    queryable: Queryable<()>,
+    answerer: JoinHandle<()>,
+}
+
+/// Where messages go in.
+pub(super) struct RecordInlet {
+    machine: String,
+    /// `None` if there is no record.
+    messages: Option<SyncSender<Recorded<Vec<u8>>>>,
+    state: Arc<State>,
+    counters: Arc<Counters>,
+}
+
+/// What others see of the record.
+struct State {
+    shelf: Shelf,
+    kept: Mutex<(Kept, Option<String>)>,
+}
+
+impl State {
+    fn set(&self, kept: Kept, failure: Option<String>) {
+        *self.kept.lock().unwrap_or_else(PoisonError::into_inner) = (kept, failure);
+    }
+
+    fn get(&self) -> (Kept, Option<String>) {
+        self.kept.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+}
+
+impl RecordInlet {
+    /// Hands a message over, or counts that there was no room for it; never waits.
+    pub(super) fn offer(&self, topic: Topic, attachment: &Attachment, payload: &[u8]) {
+        let Some(messages) = &self.messages else { return };
+        let message = Recorded {
+            machine: self.machine.clone(),
+            topic,
+            boot: Some(attachment.boot),
+            sequence: attachment.sequence,
+            // The thread's own time.
+            received: Stamp::default(),
+            sent: attachment.sent,
+            payload: payload.to_vec(),
+        };
+        if messages.try_send(message).is_err() {
+            self.counters.record_dropped.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    /// What health says of the record.
+    pub(super) fn status(&self) -> OnBoardRecord {
+        let (kept, failure) = self.state.get();
+        OnBoardRecord {
+            kept: kept == Kept::Yes,
+            bytes: self.state.shelf.bytes(),
+            dropped: self.counters.record_dropped.load(Ordering::Relaxed),
+            failure,
+        }
+    }
+}
+
+impl Keeper {
+    /// Starts the threads and declares the queryable. `about` goes into every file, as metadata.
+    pub(super) async fn start(
+        session: &zenoh::Session,
+        machine: &config::Machine,
+        boot: BootId,
+        about: Vec<(String, BTreeMap<String, String>)>,
+        counters: Arc<Counters>,
+    ) -> Result<(Self, RecordInlet), MachineError> {
+        let enabled = machine.record.enabled;
+        let kept = if enabled { Kept::NotNow } else { Kept::No };
+        let state = Arc::new(State { shelf: Shelf::default(), kept: Mutex::new((kept, None)) });
+        let stopping = Arc::new(AtomicBool::new(false));
+        let (messages, thread) = match enabled {
+            false => (None, None),
+            true => {
+                let (sender, messages) = sync_channel(MESSAGES_QUEUED);
+                let options = RingOptions {
+                    folder: machine.record.directory.join(&machine.id),
+                    machine: machine.id.clone(),
+                    boot,
+                    bytes_max: machine.record.size_max_mb.saturating_mul(1_000_000),
+                    about,
+                };
+                let keeping = Keeping { options, state: Arc::clone(&state), stopping: Arc::clone(&stopping) };
+                let thread = spawn("keeper", move || keeping.run(&messages))?;
+                (Some(sender), Some(thread))
+            }
+        };
+        let (sender, questions) = sync_channel(QUESTIONS_QUEUED);
+        let published = Topic::ALL.into_iter().filter(|topic| is_published(machine, *topic)).collect();
+        let for_answers = Arc::clone(&state);
+        let answerer = spawn("answerer", move || answer_all(&questions, &for_answers, published))?;
+        let key = record_key(&machine.link.site, &machine.id);
+        let declared = session
+            .declare_queryable(key.clone())
+            .callback(move |query| {
+                if let Err(full) = sender.try_send(query) {
+                    let (std::sync::mpsc::TrySendError::Full(query)
+                    | std::sync::mpsc::TrySendError::Disconnected(query)) = full;
+                    refuse(&query, "busy");
+                }
+            })
+            .await;
+        let queryable = declared.map_err(|error| LinkError::Declare { key, reason: link::reason(&error) })?;
+        let machine = machine.id.clone();
+        Ok((
+            Self { thread, stopping, queryable, answerer },
+            RecordInlet { machine, messages, state, counters },
+        ))
+    }
+
+    /// Writes what is queued, closes the file, and ends; the inlet must be gone.
+    pub(super) async fn stop(self) {
+        let Self { thread, stopping, queryable, answerer } = self;
+        if let Err(error) = queryable.undeclare().await {
+            tracing::warn!(%error, "the queryable of the record could not be taken back");
+        }
+        stopping.store(true, Ordering::Release);
+        let joined = tokio::task::spawn_blocking(move || {
+            let kept = thread.is_none_or(|thread| thread.join().is_ok());
+            answerer.join().is_ok() && kept
+        });
+        if !matches!(joined.await, Ok(true)) {
+            tracing::error!("a thread of the on-board record has panicked");
+        }
+    }
+}
+
+fn spawn(name: &'static str, body: impl FnOnce() + Send + 'static) -> Result<JoinHandle<()>, MachineError> {
+    let thread = std::thread::Builder::new().name(name.to_owned()).spawn(body);
+    thread.map_err(|source| MachineError::Thread { name, source })
+}
+
+/// The thread that writes.
+struct Keeping {
+    options: RingOptions,
+    state: Arc<State>,
+    stopping: Arc<AtomicBool>,
+}
+
+impl Keeping {
+    fn run(self, messages: &Receiver<Recorded<Vec<u8>>>) {
+        // Not the system's clock, which somebody may set.
+        let (origin, start) = (clock::wall(), Instant::now());
+        let now = || origin + Span::from_nanos(i64::try_from(start.elapsed().as_nanos()).unwrap_or(i64::MAX));
+        loop {
+            let outcome = Ring::open(self.options.clone(), self.state.shelf.clone(), now());
+            let outcome = outcome.and_then(|ring| {
+                tracing::info!(folder = %self.options.folder.display(), "on-board record");
+                self.state.set(Kept::Yes, None);
+                keep(ring, messages, now)
+            });
+            let Err(error) = outcome else { return };
+            tracing::error!(%error, "no on-board record; tried again in {} s", RETRY_AFTER.as_secs());
+            self.state.set(Kept::NotNow, Some(error.to_string()));
+            let retry_at = Instant::now() + RETRY_AFTER;
+            // What comes meanwhile waits in the queue, as much as there is room for.
+            while Instant::now() < retry_at {
+                if self.stopping.load(Ordering::Acquire) {
+                    return;
+                }
+                std::thread::sleep(TURN);
+            }
+        }
+    }
+}
+
+/// Writes until nobody can send any more.
+fn keep(
+    mut ring: Ring,
+    messages: &Receiver<Recorded<Vec<u8>>>,
+    now: impl Fn() -> Stamp,
+) -> Result<(), RecordError> {
+    loop {
+        match messages.recv_timeout(TURN) {
+            Ok(message) => ring.write(&Recorded { received: now(), ..message })?,
+            Err(RecvTimeoutError::Timeout) => ring.tick(now())?,
+            Err(RecvTimeoutError::Disconnected) => return ring.finish(),
+        }
+    }
+}
+
+fn answer_all(questions: &Receiver<Query>, state: &State, published: Vec<Topic>) {
+    let mut reader = state.shelf.reader();
+    while let Ok(query) = questions.recv() {
+        let payload = query.payload().map(|payload| payload.to_bytes()).unwrap_or_default();
+        let answer = match RecordRequest::decode(&payload) {
+            Err(error) => Err(error.to_string()),
+            Ok(RecordRequest::Holdings) => {
+                let holdings = match state.get().0 {
+                    Kept::Yes => state.shelf.holdings(|topic| published.contains(&topic)),
+                    kept => Holdings { kept, boots: vec![] },
+                };
+                encode_json("holdings", &holdings).map_err(|error| error.to_string())
+            }
+            Ok(RecordRequest::Messages { boot, mut wanted, bytes }) => {
+                wanted.retain(|topic, _| published.contains(topic));
+                match state.get().0 {
+                    Kept::Yes => Ok(reader.batch(boot, &wanted, bytes.min(BATCH_BYTES_MAX)).encode()),
+                    _ => Err("there is no on-board record now".to_owned()),
+                }
+            }
+        };
+        match answer {
+            // With the question's priority, and dropped rather than waited for if the question says so.
+            Ok(bytes) => {
+                if let Err(error) = query.reply(query.key_expr().clone(), bytes).wait() {
+                    tracing::debug!(%error, "a question about the record could not be answered");
+                }
+            }
+            Err(reason) => refuse(&query, &reason),
+        }
+    }
+}
+
+fn refuse(query: &Query, reason: &str) {
+    if let Err(error) = query.reply_err(reason).wait() {
+        tracing::debug!(%error, "a question about the record could not be refused");
+    }
+}

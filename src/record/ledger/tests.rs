@@ -1,0 +1,278 @@
+//! What must hold of the books, whatever was lost on the way.
+
+use super::*;
+use crate::sensors::Sensor;
+
+const MACHINE: &str = "a";
+const BOOT: BootId = BootId(7);
+const POSE: Topic = Topic::Pose;
+const IMU: Topic = Topic::Sensor(Sensor::Imu);
+
+/// Seeded dice (SplitMix64).
+struct Dice(u64);
+
+impl Dice {
+    fn below(&mut self, end: u64) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mixed = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        (mixed ^ (mixed >> 31)) % end
+    }
+}
+
+/// A boot, whether it runs, and first and last message of its topics.
+type Held<'a> = (u64, bool, &'a [(Topic, [u64; 2])]);
+
+fn holding(boots: &[Held<'_>]) -> Holdings {
+    let held = |(boot, current, topics): &Held<'_>| HeldBoot {
+        boot: BootId(*boot),
+        current: *current,
+        topics: topics.iter().copied().collect(),
+    };
+    Holdings { kept: Kept::Yes, boots: boots.iter().map(held).collect() }
+}
+
+fn admit(ledger: &mut Ledger, boot: u64, topic: Topic, numbers: Range<u64>) {
+    numbers.for_each(|number| assert!(ledger.admit(MACHINE, BootId(boot), topic, number)));
+}
+
+#[test]
+fn message_counts_once_and_again_only_if_its_file_is_lost() {
+    let mut ledger = Ledger::default();
+    admit(&mut ledger, 7, POSE, 0..10);
+    assert!(!ledger.admit(MACHINE, BOOT, POSE, 3));
+    ledger.synced();
+    admit(&mut ledger, 7, POSE, 10..15);
+    ledger.revoke();
+    assert!(!ledger.admit(MACHINE, BOOT, POSE, 9));
+    admit(&mut ledger, 7, POSE, 12..20);
+    ledger.synced();
+    assert_eq!(ledger.counts(MACHINE), GapCounts { open: 2, filled: 0, lost: 0 });
+    let plan = ledger.plan(MACHINE, &holding(&[(7, true, &[(POSE, [0, 30])])]), None);
+    assert_eq!(plan.wanted, [(BOOT, [(POSE, vec![[10, 11]])].into())]);
+    assert_eq!((plan.count(), plan.lost), (2, vec![]));
+}
+
+#[test]
+fn last_messages_are_fetched_if_they_do_not_come_by_themselves() {
+    let mut ledger = Ledger::default();
+    admit(&mut ledger, 7, POSE, 0..10);
+    let before = holding(&[(7, true, &[(POSE, [0, 12])])]);
+    assert_eq!(ledger.plan(MACHINE, &before, None), Plan::default());
+    let now = holding(&[(7, true, &[(POSE, [0, 40]), (IMU, [0, 5])])]);
+    let plan = ledger.plan(MACHINE, &now, Some(&before));
+    assert_eq!(plan.wanted, [(BOOT, [(POSE, vec![[10, 12]])].into())]);
+    // The boot has ended: nothing more will come by itself.
+    let after = holding(&[(7, false, &[(POSE, [0, 40]), (IMU, [0, 5])]), (8, true, &[])]);
+    let plan = ledger.plan(MACHINE, &after, Some(&now));
+    assert_eq!(plan.wanted, [(BOOT, [(POSE, vec![[10, 40]]), (IMU, vec![[0, 5]])].into())]);
+}
+
+#[test]
+fn boots_that_nobody_saw_are_fetched_and_what_came_before_is_no_gap() {
+    let mut ledger = Ledger::default();
+    admit(&mut ledger, 3, POSE, 700..710);
+    // Boot 1 has lost its beginning before anybody met the machine; of boot 3 some is still there.
+    let now = holding(&[
+        (1, false, &[(POSE, [50, 99])]),
+        (2, false, &[(POSE, [0, 4])]),
+        (3, true, &[(POSE, [600, 800])]),
+    ]);
+    let plan = ledger.plan(MACHINE, &now, None);
+    let poses = |range| Wanted::from([(POSE, vec![range])]);
+    assert_eq!(
+        plan.wanted,
+        [(BootId(1), poses([50, 99])), (BootId(2), poses([0, 4])), (BootId(3), poses([600, 699]))]
+    );
+    assert_eq!((plan.lost, ledger.counts(MACHINE)), (vec![], GapCounts::default()));
+    // A boot after that: its beginning is missing, and gone.
+    let later = holding(&[(3, false, &[(POSE, [600, 800])]), (4, true, &[(POSE, [20, 90])])]);
+    let plan = ledger.plan(MACHINE, &later, Some(&now));
+    assert_eq!(plan.lost.len(), 1);
+    assert_eq!((plan.lost[0].range.clone(), plan.lost[0].cause), (0..20, GapCause::Overwritten));
+    assert_eq!(plan.lost[0].entries()["to"], "19");
+    assert_eq!(ledger.plan(MACHINE, &later, Some(&later)).lost, [], "told once");
+}
+
+#[test]
+fn what_cannot_be_had_is_lost_with_its_cause() {
+    let mut ledger = Ledger::default();
+    admit(&mut ledger, 1, POSE, 0..1);
+    for boot in [2, 3] {
+        admit(&mut ledger, boot, POSE, 0..5);
+        admit(&mut ledger, boot, POSE, 10..15);
+    }
+    ledger.synced();
+    assert_eq!(ledger.counts(MACHINE).open, 10);
+    let now = holding(&[(3, false, &[(POSE, [0, 7])]), (4, true, &[])]);
+    // Boot 2 is gone, but is not believed to be until it was asked for twice.
+    let plan = ledger.plan(MACHINE, &now, None);
+    assert_eq!(plan.wanted, [(BootId(3), [(POSE, vec![[5, 7]])].into())]);
+    let causes = |gaps: &[Gap]| gaps.iter().map(|gap| (gap.boot.0, gap.range.clone(), gap.cause)).collect();
+    let lost: Vec<_> = causes(&plan.lost);
+    assert_eq!(lost, [(3, 8..10, GapCause::NotOnBoard)]);
+    let lost: Vec<_> = causes(&ledger.plan(MACHINE, &now, Some(&now)).lost);
+    assert_eq!(lost, [(2, 5..10, GapCause::Overwritten)]);
+    assert_eq!(ledger.counts(MACHINE), GapCounts { open: 3, filled: 0, lost: 7 });
+    let gaps = ledger.open_gaps();
+    assert_eq!(causes(&gaps), vec![(3, 5..8, GapCause::Unreachable)]);
+    let none = Holdings { kept: Kept::No, boots: vec![] };
+    assert_eq!(ledger.plan(MACHINE, &Holdings { kept: Kept::NotNow, ..none.clone() }, Some(&none)).lost, []);
+    let lost: Vec<_> = causes(&ledger.plan(MACHINE, &none, Some(&none)).lost);
+    assert_eq!(lost, [(3, 5..8, GapCause::NotKept)]);
+    // It comes after all.
+    admit(&mut ledger, 3, POSE, 5..8);
+    ledger.synced();
+    assert_eq!(ledger.counts(MACHINE), GapCounts { open: 0, filled: 0, lost: 7 });
+}
+
+#[test]
+fn books_survive_as_text_and_numbers_past_32_bits() {
+    let mut ledger = Ledger::default();
+    let far = u64::from(u32::MAX);
+    admit(&mut ledger, 7, POSE, 0..1);
+    admit(&mut ledger, 7, POSE, far - 5..far + 5);
+    admit(&mut ledger, 9, IMU, 0..3);
+    ledger.synced();
+    let text = serde_json::to_string(&ledger).expect("JSON");
+    let mut back: Ledger = serde_json::from_str(&text).expect("own text");
+    assert_eq!(back, ledger);
+    (far + 5..far + 9).for_each(|number| back.found(MACHINE, BOOT, POSE, number as u32));
+    assert!(!back.admit(MACHINE, BOOT, POSE, far + 8) && back.admit(MACHINE, BOOT, POSE, far + 9));
+    assert_eq!(back.machines().collect::<Vec<_>>(), [MACHINE]);
+}
+
+/// A machine that makes messages, a network that loses and repeats them, a recorder whose files are lost now and
+/// then, a ring that forgets, restarts of all: in the end everything is there once, or known to be lost.
+#[test]
+fn after_random_losses_everything_is_there_once_or_known_to_be_lost() {
+    for seed in 0..200 {
+        let mut dice = Dice(seed);
+        let mut ledger = Ledger::default();
+        // What the files hold, and what they hold that is not on the disk.
+        let mut disk: BTreeMap<(u64, Topic), Vec<u64>> = BTreeMap::new();
+        let mut memory: Vec<((u64, Topic), u64)> = Vec::new();
+        let mut made: BTreeMap<u64, BTreeMap<Topic, u64>> = BTreeMap::new();
+        let mut forgotten: BTreeMap<(u64, Topic), u64> = BTreeMap::new();
+        let mut before: Option<Holdings> = None;
+        let mut told: BTreeMap<(u64, Topic), Ranges> = BTreeMap::new();
+        let mut boot = 0;
+        let (mut cut, mut lossy) = (false, 10);
+        // So that it was met from the start on.
+        [POSE, IMU].into_iter().for_each(|topic| {
+            ledger.admit(MACHINE, BootId(0), topic, 0);
+            memory.push(((0, topic), 0));
+            made.entry(0).or_default().insert(topic, 1);
+        });
+        for step in 0..3_000 {
+            let last = step >= 2_990;
+            match dice.below(200) {
+                0 if !last => boot += 1,
+                1 if !last => cut = !cut,
+                2 => lossy = 2 + dice.below(50),
+                3 if !last => {
+                    ledger.revoke();
+                    memory.clear();
+                }
+                4 if !last => {
+                    // A restart of the site: the books are those of some time before, the files are read again.
+                    memory.clear();
+                    let text = serde_json::to_string(&ledger).expect("JSON");
+                    ledger = serde_json::from_str(&text).expect("JSON");
+                    before = None;
+                    for ((boot, topic), numbers) in &disk {
+                        numbers.iter().for_each(|n| ledger.found(MACHINE, BootId(*boot), *topic, *n as u32));
+                    }
+                }
+                5..8 => {
+                    let of = (dice.below(boot + 1), if dice.below(2) == 0 { POSE } else { IMU });
+                    let end = made.get(&of.0).and_then(|topics| topics.get(&of.1)).copied().unwrap_or(0);
+                    let to = forgotten.get(&of).copied().unwrap_or(0) + dice.below(20);
+                    forgotten.insert(of, to.min(end));
+                }
+                8..30 => {
+                    ledger.synced();
+                    memory.drain(..).for_each(|(of, number)| disk.entry(of).or_default().push(number));
+                }
+                _ => {}
+            }
+            for topic in [POSE, IMU] {
+                let next = made.entry(boot).or_default().entry(topic).or_insert(0);
+                let number = *next;
+                *next += 1;
+                let copies =
+                    if cut || dice.below(lossy) == 0 { 0 } else { 1 + u64::from(dice.below(20) == 0) };
+                for _ in 0..copies {
+                    if ledger.admit(MACHINE, BootId(boot), topic, number) {
+                        memory.push(((boot, topic), number));
+                    }
+                }
+            }
+            if dice.below(20) != 0 && !last {
+                continue;
+            }
+            // The end of the link's troubles, and of the machine.
+            if step == 2_990 {
+                cut = false;
+                boot += 1;
+                made.entry(boot).or_default();
+            }
+            if cut {
+                continue;
+            }
+            let held = |boot_of: u64| {
+                let topics = made.get(&boot_of)?;
+                let range = |(topic, end): (&Topic, &u64)| {
+                    let first = forgotten.get(&(boot_of, *topic)).copied().unwrap_or(0);
+                    (*end > 0 && (first < *end || boot_of == boot)).then(|| (*topic, [first, *end - 1]))
+                };
+                let topics: BTreeMap<_, _> = topics.iter().filter_map(range).collect();
+                let current = boot_of == boot;
+                (current || !topics.is_empty()).then_some(HeldBoot { boot: BootId(boot_of), current, topics })
+            };
+            let now = Holdings { kept: Kept::Yes, boots: (0..=boot).filter_map(held).collect() };
+            let plan = ledger.plan(MACHINE, &now, before.as_ref());
+            for gap in plan.lost {
+                assert_eq!(gap.cause, GapCause::Overwritten, "seed {seed}");
+                told.entry((gap.boot.0, gap.topic)).or_default().insert_range(gap.range);
+            }
+            for (boot, wanted) in plan.wanted {
+                for (topic, ranges) in wanted {
+                    for number in ranges.iter().flat_map(|[first, last]| *first..=*last) {
+                        // A part of it arrives.
+                        if last || dice.below(3) > 0 {
+                            assert!(ledger.admit(MACHINE, boot, topic, number), "seed {seed}: not wanted");
+                            memory.push(((boot.0, topic), number));
+                        }
+                    }
+                }
+            }
+            before = Some(now);
+        }
+        ledger.synced();
+        memory.drain(..).for_each(|(of, number)| disk.entry(of).or_default().push(number));
+        for ((boot, topic), numbers) in &mut disk {
+            numbers.sort_unstable();
+            assert!(
+                numbers.windows(2).all(|pair| pair[0] < pair[1]),
+                "seed {seed}: {boot} {topic} has doubles"
+            );
+        }
+        for (boot_of, topics) in made.iter().filter(|(boot_of, _)| **boot_of < boot) {
+            for (topic, end) in topics {
+                let mut there: Ranges = told.remove(&(*boot_of, *topic)).unwrap_or_default();
+                let numbers = disk.get(&(*boot_of, *topic)).cloned().unwrap_or_default();
+                numbers.iter().for_each(|number| {
+                    there.insert(*number);
+                });
+                let missing = there.missing_in(0..*end);
+                // A boot that was forgotten before anybody asked for it ends where it was last heard of.
+                let all_forgotten = forgotten.get(&(*boot_of, *topic)).copied().unwrap_or(0) >= *end;
+                let tail = there.end();
+                let missing = if all_forgotten { missing.within(0..tail) } else { missing };
+                assert!(missing.is_empty(), "seed {seed}: {boot_of} {topic}: {missing:?} of {end}");
+            }
+        }
+        assert_eq!(ledger.counts(MACHINE).open, 0, "seed {seed}");
+    }
+}

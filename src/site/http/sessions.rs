@@ -1,0 +1,191 @@
+//! Sessions: the list, what people write to them, start and stop.
+
+use std::sync::Arc;
+
+use axum::Json;
+use axum::body::Bytes;
+use axum::extract::rejection::{BytesRejection, PathRejection};
+use axum::extract::{Path, State};
+use axum::http::header::{CONTENT_TYPE, LOCATION};
+use axum::http::{HeaderMap, HeaderValue, StatusCode};
+use axum::response::{IntoResponse, Response};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use tokio::sync::oneshot;
+
+use super::Shared;
+use super::api::malformed;
+use super::problem::Problem;
+use crate::site::sessions::{
+    Answer, Catalogue, Command, Notes, NotesChange, Progress, RecordingView, Refusal, SessionDetail,
+    SessionView,
+};
+
+/// All sessions.
+#[derive(Serialize, utoipa::ToSchema)]
+pub(super) struct SessionsView {
+    /// What the recorder does.
+    recording: RecordingView,
+    /// Newest first.
+    sessions: Vec<SessionView>,
+}
+
+/// All recordings, and whether what arrives is recorded.
+#[utoipa::path(get, path = "/api/v1/sessions", tag = "sessions",
+    responses((status = OK, body = SessionsView)))]
+pub(super) async fn list(State(shared): State<Shared>) -> Result<Json<SessionsView>, Problem> {
+    let recording = RecordingView::of(shared.progress().as_ref());
+    let sessions = ask(&shared, |catalogue, progress| catalogue.list(progress)).await?;
+    Ok(Json(SessionsView { recording, sessions }))
+}
+
+/// One session and its files.
+#[utoipa::path(get, path = "/api/v1/sessions/{id}", tag = "sessions",
+    params(("id" = String, Path, description = "The session's id")),
+    responses((status = OK, body = SessionDetail),
+        (status = NOT_FOUND, body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn session(
+    State(shared): State<Shared>,
+    id: Result<Path<String>, PathRejection>,
+) -> Result<Json<SessionDetail>, Problem> {
+    let Path(id) = id.map_err(malformed)?;
+    detail(&shared, id).await.map(Json)
+}
+
+/// Starts a session; the one that runs ends, and no message is lost in between.
+#[utoipa::path(post, path = "/api/v1/sessions", tag = "sessions",
+    request_body(content = Option<NotesChange>, description = "What it is called; may be left out"),
+    responses(
+        (status = CREATED, body = SessionView, headers(("Location" = String, description = "The session"))),
+        (status = BAD_REQUEST, body = Problem, content_type = "application/problem+json"),
+        (status = CONFLICT, body = Problem, content_type = "application/problem+json"),
+        (status = UNSUPPORTED_MEDIA_TYPE, body = Problem, content_type = "application/problem+json"),
+        (status = INSUFFICIENT_STORAGE, body = Problem, content_type = "application/problem+json"),
+        (status = SERVICE_UNAVAILABLE, body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn start(
+    State(shared): State<Shared>,
+    headers: HeaderMap,
+    body: Result<Bytes, BytesRejection>,
+) -> Result<Response, Problem> {
+    let change: NotesChange = read(&headers, body)?.unwrap_or_default();
+    let mut notes = Notes::default();
+    change.apply(&mut notes).map_err(|wrong| Problem::new(StatusCode::BAD_REQUEST, wrong))?;
+    let id = command(&shared, |answer| Command::Start { notes, answer }).await?;
+    let view = detail(&shared, id.clone()).await?.session;
+    let mut response = (StatusCode::CREATED, Json(view)).into_response();
+    if let Ok(location) = HeaderValue::from_str(&format!("/api/v1/sessions/{id}")) {
+        response.headers_mut().insert(LOCATION, location);
+    }
+    Ok(response)
+}
+
+/// Ends the session that runs. Nothing is recorded until another one is started, or begins by itself.
+#[utoipa::path(post, path = "/api/v1/sessions/{id}/stop", tag = "sessions",
+    params(("id" = String, Path, description = "The session's id")),
+    responses((status = OK, body = SessionView),
+        (status = NOT_FOUND, body = Problem, content_type = "application/problem+json"),
+        (status = CONFLICT, body = Problem, content_type = "application/problem+json"),
+        (status = SERVICE_UNAVAILABLE, body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn stop(
+    State(shared): State<Shared>,
+    id: Result<Path<String>, PathRejection>,
+) -> Result<Json<SessionView>, Problem> {
+    let Path(id) = id.map_err(malformed)?;
+    // What is not there is not found, whatever the recorder does.
+    detail(&shared, id.clone()).await?;
+    let id = command(&shared, |answer| Command::Stop { id, answer }).await?;
+    Ok(Json(detail(&shared, id).await?.session))
+}
+
+/// Writes name, notes or tags of a session; what is left out stays as it is.
+#[utoipa::path(patch, path = "/api/v1/sessions/{id}", tag = "sessions",
+    params(("id" = String, Path, description = "The session's id")),
+    request_body = NotesChange,
+    responses((status = OK, body = SessionView),
+        (status = BAD_REQUEST, body = Problem, content_type = "application/problem+json"),
+        (status = NOT_FOUND, body = Problem, content_type = "application/problem+json"),
+        (status = UNSUPPORTED_MEDIA_TYPE, body = Problem, content_type = "application/problem+json"),
+        (status = INSUFFICIENT_STORAGE, body = Problem, content_type = "application/problem+json")))]
+pub(super) async fn edit(
+    State(shared): State<Shared>,
+    id: Result<Path<String>, PathRejection>,
+    headers: HeaderMap,
+    body: Result<Bytes, BytesRejection>,
+) -> Result<Json<SessionView>, Problem> {
+    let Path(id) = id.map_err(malformed)?;
+    let empty = || Problem::new(StatusCode::BAD_REQUEST, "the body is empty, must be a JSON object");
+    let change: NotesChange = read(&headers, body)?.ok_or_else(empty)?;
+    let wanted = id.clone();
+    match ask(&shared, move |catalogue, _| catalogue.edit(&wanted, change)).await? {
+        Ok(Some(Ok(()))) => Ok(Json(detail(&shared, id).await?.session)),
+        Ok(Some(Err(wrong))) => Err(Problem::new(StatusCode::BAD_REQUEST, wrong)),
+        Ok(None) => Err(Problem::not_found("session", &id)),
+        Err(error) => {
+            tracing::error!("session {id}: what is written to it cannot be kept: {error}");
+            Err(Problem::new(StatusCode::INSUFFICIENT_STORAGE, format!("it cannot be written: {error}")))
+        }
+    }
+}
+
+async fn detail(shared: &Shared, id: String) -> Result<SessionDetail, Problem> {
+    let not_found = Problem::not_found("session", &id);
+    let detail = ask(shared, move |catalogue, progress| catalogue.detail(&id, progress)).await?;
+    detail.ok_or(not_found)
+}
+
+/// Asks the catalogue, which reads the disk.
+pub(super) async fn ask<T: Send + 'static>(
+    shared: &Shared,
+    question: impl FnOnce(&Catalogue, Option<&Progress>) -> T + Send + 'static,
+) -> Result<T, Problem> {
+    let catalogue = Arc::clone(&shared.catalogue);
+    let progress = shared.progress();
+    let answer = tokio::task::spawn_blocking(move || question(&catalogue, progress.as_ref()));
+    answer.await.map_err(|error| {
+        tracing::error!("the sessions cannot be read: {error}");
+        Problem::new(StatusCode::INTERNAL_SERVER_ERROR, "the sessions cannot be read")
+    })
+}
+
+/// Asks the recorder, and waits until it is done.
+async fn command(
+    shared: &Shared,
+    command: impl FnOnce(oneshot::Sender<Answer>) -> Command,
+) -> Result<String, Problem> {
+    let Some(inbox) = shared.recorder_inbox.clone() else {
+        let detail = "nothing is recorded here: the site file has record.enabled = false";
+        return Err(Problem::new(StatusCode::CONFLICT, detail));
+    };
+    let (sender, answer) = oneshot::channel();
+    let command = command(sender);
+    // Waits behind the messages, which may be many.
+    let sent = tokio::task::spawn_blocking(move || inbox.send(command).is_ok()).await.unwrap_or(false);
+    let ends = || Problem::new(StatusCode::SERVICE_UNAVAILABLE, "the server ends");
+    if !sent {
+        return Err(ends());
+    }
+    answer.await.map_err(|_| ends())?.map_err(|refusal| match refusal {
+        Refusal::NotNow(why) => Problem::new(StatusCode::CONFLICT, why),
+        Refusal::NoRoom(why) => Problem::new(StatusCode::INSUFFICIENT_STORAGE, why),
+        Refusal::Failed(why) => Problem::new(StatusCode::SERVICE_UNAVAILABLE, why),
+    })
+}
+
+/// A body in JSON; `None` if there is none.
+fn read<T: DeserializeOwned>(
+    headers: &HeaderMap,
+    body: Result<Bytes, BytesRejection>,
+) -> Result<Option<T>, Problem> {
+    let body = body.map_err(|rejection| Problem::new(rejection.status(), rejection.body_text()))?;
+    if body.is_empty() {
+        return Ok(None);
+    }
+    let kind = headers.get(CONTENT_TYPE).and_then(|value| value.to_str().ok()).unwrap_or("");
+    if !kind.split(';').next().is_some_and(|kind| kind.trim().eq_ignore_ascii_case("application/json")) {
+        let detail = "the body must be application/json";
+        return Err(Problem::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, detail));
+    }
+    let wrong =
+        |error: serde_json::Error| Problem::new(StatusCode::BAD_REQUEST, format!("the body: {error}"));
+    serde_json::from_slice(&body).map(Some).map_err(wrong)
+}

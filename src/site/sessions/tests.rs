@@ -1,0 +1,147 @@
+//! The recorder's thread, with a clock that tells the time it needs.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+use super::*;
+use crate::config;
+use crate::record::{Checker, RecordWriter};
+use crate::site::backfill::Books;
+use crate::site::clock::SiteClock;
+use crate::site::counters::Counters;
+use crate::site::inlet::Inbound;
+use crate::time::{Span, Stamp};
+use crate::wire::{Attachment, BootId, Topic};
+
+/// A folder that is gone with the test.
+struct Scratch(PathBuf);
+
+impl Scratch {
+    fn new(name: &str) -> Self {
+        let path = std::env::temp_dir().join(format!("holdfast-recorder-{}-{name}", std::process::id()));
+        std::fs::create_dir_all(&path).expect("temporary folder");
+        Self(path)
+    }
+
+    fn config(&self, more: &str) -> config::Site {
+        let text = format!(
+            "id = \"quarry\"\n{more}\n[world]\nlatitude_deg = 47.0\nlongitude_deg = 8.0\naltitude_m = 400.0\n"
+        );
+        let mut config: config::Site = config::parse(&text, std::path::Path::new("s.toml")).expect("valid");
+        config.record.directory = self.0.clone();
+        config
+    }
+
+    /// All files of all sessions, in order.
+    fn files(&self) -> Vec<PathBuf> {
+        let mut files = Vec::new();
+        for session in
+            std::fs::read_dir(&self.0).expect("folder").flatten().filter(|entry| entry.path().is_dir())
+        {
+            files.extend(
+                std::fs::read_dir(session.path()).expect("session").flatten().map(|entry| entry.path()),
+            );
+        }
+        files.retain(|path| path.extension().is_some_and(|ending| ending == "mcap"));
+        files.sort();
+        files
+    }
+}
+
+impl Drop for Scratch {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+fn time(text: &str) -> Stamp {
+    let timestamp: jiff::Timestamp = text.parse().expect("a time");
+    Stamp::from_nanos(i64::try_from(timestamp.as_nanosecond()).expect("in range"))
+}
+
+fn message(boot: u64, sequence: u64, stamp: Stamp, received: Stamp) -> Command {
+    Command::Write(Inbound {
+        machine: "a".into(),
+        topic: Topic::Event,
+        payload: b"{}"[..].into(),
+        attachment: Attachment { sequence, boot: BootId(boot), stamp, sent: stamp },
+        received,
+    })
+}
+
+#[test]
+#[allow(clippy::disallowed_methods, reason = "time must pass")]
+fn shift_begins_with_a_session_of_its_own_and_late_messages_find_their_place() {
+    let scratch = Scratch::new("shift");
+    let mut config = scratch.config("time_zone = \"Europe/Zurich\"");
+    config.record.rotate = config::Rotate::Shift;
+    // Nine in the evening in Zurich, in summer.
+    config.record.shifts = vec!["21:00".to_owned(), "05:00".to_owned()];
+    let clock = SiteClock::starting_at(time("2026-07-01T18:59:59Z"));
+    let recorder =
+        Recorder::start(&config, scratch.0.clone(), clock, Arc::new(Counters::default()), Books::default())
+            .expect("starts");
+    assert_eq!(recorder.progress().borrow().next_session, Some(time("2026-07-01T19:00:00Z")));
+    let inbox = recorder.inbox();
+    let mut sequence = 0;
+    while clock.now() < time("2026-07-01T19:00:00.6Z") {
+        // Half of them come late: after a machine's next boot.
+        if sequence % 2 == 0 {
+            inbox.send(message(1, sequence, clock.now(), clock.now())).expect("room");
+        } else {
+            inbox.send(message(2, sequence / 2, clock.now(), clock.now())).expect("room");
+        }
+        sequence += 1;
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    for late in (1..sequence).step_by(2) {
+        let stamp = time("2026-07-01T18:59:59Z") + Span::from_millis(late as i64);
+        inbox.send(message(1, late, stamp, clock.now())).expect("room");
+    }
+    assert_eq!(recorder.progress().borrow().next_session, Some(time("2026-07-02T03:00:00Z")));
+    recorder.finish();
+
+    let files = scratch.files();
+    let names: Vec<_> =
+        files.iter().map(|path| path.file_name().expect("name").to_str().expect("text")).collect();
+    assert_eq!(names, ["20260701T185959Z-0000.mcap", "20260701T190000Z-0000.mcap"]);
+    let mut checker = Checker::default();
+    let mut messages = 0;
+    for path in &files {
+        let checked = checker.check(path, |_| {}).expect("readable");
+        assert!(checked.faults.is_empty(), "{:?}", checked.faults);
+        assert!(checked.summary.messages > 20);
+        messages += checked.summary.messages;
+    }
+    assert_eq!((checker.missing(), checker.repeated()), (vec![], vec![]));
+    assert_eq!(messages, sequence + sequence / 2);
+}
+
+#[test]
+fn what_is_in_the_way_is_not_overwritten_and_torn_files_are_recovered() {
+    let scratch = Scratch::new("torn");
+    let config = scratch.config("");
+    let earlier = scratch.0.join("20260101T000000Z");
+    std::fs::create_dir_all(&earlier).expect("created");
+    let torn = earlier.join("20260101T000000Z-0002.mcap");
+    let mut writer = RecordWriter::create(&torn).expect("created");
+    writer.sync().expect("synced");
+    std::mem::forget(writer);
+    let strange = earlier.join("20260101T000000Z-0003.mcap");
+    std::fs::write(&strange, b"notes of a stranger").expect("written");
+    let clock = SiteClock::starting_at(time("2026-01-01T00:00:00Z"));
+    let recorder =
+        Recorder::start(&config, scratch.0.clone(), clock, Arc::new(Counters::default()), Books::default())
+            .expect("starts");
+    assert_eq!(recorder.progress().borrow().session.as_deref(), Some("20260101T000000Z-2"));
+    let deadline = clock.now() + Span::from_millis(20_000);
+    while crate::record::inspect(&torn).is_err() {
+        assert!(clock.now() < deadline, "not recovered");
+    }
+    let catalogue = recorder.catalogue();
+    recorder.finish();
+    let detail = catalogue.detail("20260101T000000Z", None).expect("listed");
+    assert_eq!(detail.files.len(), 2);
+    assert_eq!(std::fs::read(&strange).expect("there"), b"notes of a stranger");
+}
