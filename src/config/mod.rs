@@ -15,7 +15,7 @@ use serde::de::DeserializeOwned;
 pub use endpoint::endpoint;
 pub use machine::{
     BaseImu, Frames, Gate, Gnss, Imu, Initialization, LidarInOutage, LidarOdometry, Link, Machine, Publish,
-    Smoother, Transform, World,
+    Smoother, Topics, Transform, World,
 };
 pub use site::{Http, Record, Site, Zenoh};
 
@@ -163,6 +163,7 @@ pub(crate) fn violation<T>(key: &str, message: String) -> Result<T, Violation> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sensors::Sensor;
 
     const MINIMAL: &str = "id = \"a\"\n[world]\nlatitude_deg = 47.0\nlongitude_deg = 8.0\naltitude_m = 400.0\n\
                            [frames]\nbase_from_cabin = {}\ncabin_from_imu = {}\n";
@@ -193,6 +194,23 @@ mod tests {
         assert!(message.starts_with("m.toml:3:1: world.latitude_deg is 147"), "{message}");
         let message = error(&MINIMAL.replace("\"a\"", "\"a/b\""));
         assert!(message.starts_with("m.toml:1:1: id is \"a/b\""), "{message}");
+    }
+
+    #[test]
+    fn topics_are_topics_and_of_one_sensor_each() {
+        let topics = "[topics]\nimu = \"/cabin/imu\"\ncabin_turn = \"/joints\"\n";
+        let machine: Machine = parse(&format!("{MINIMAL}{topics}"), Path::new("m.toml")).expect("valid");
+        assert_eq!(machine.topics.of(Sensor::Imu), Some("/cabin/imu"));
+        assert_eq!(machine.topics.of(Sensor::BaseImu), None);
+        assert_eq!(machine.topics.cabin_turn_joint, "cabin_turn");
+        let message = error(&format!("{MINIMAL}{}", topics.replace("/joints", "joints")));
+        assert!(
+            message.starts_with("m.toml:11:1: topics.cabin_turn is \"joints\", must be a topic"),
+            "{message}"
+        );
+        let message = error(&format!("{MINIMAL}{}", topics.replace("/joints", "/cabin/imu")));
+        assert_eq!(message, "m.toml:11:1: topics.cabin_turn is \"/cabin/imu\", which is imu already");
+        assert!(error(&format!("{MINIMAL}[topics]\nlidar = \"/l\"\n")).contains("unknown field `lidar`"));
     }
 
     #[test]

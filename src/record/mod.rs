@@ -6,6 +6,7 @@
 //! it, which for a reading is when it arrived at the machine. This room touches files, but reads no clock:
 //! the caller gives the time. Which sessions there are is the site's business.
 
+mod any;
 mod journal;
 mod read;
 mod recover;
@@ -19,11 +20,15 @@ use serde::{Deserialize, Serialize};
 use crate::time::Stamp;
 use crate::wire::Topic;
 
+pub use any::{AnyMessage, AnyMessages, Channel, channels, library, metadata, read_any};
 pub use journal::{BootRun, read_live_runs};
-pub use read::{Arrivals, Messages, machines, read_arrivals, read_messages};
+pub use read::{Arrivals, Messages, machines, read_arrivals, read_arrivals_showing, read_messages};
 pub use recover::{inspect, recover};
 pub use write::{RecordWriter, SYNC_EVERY};
 
+/// Name of the metadata record that tells of the site: `id`, `name`, and the origin of the site frame as
+/// `latitude_deg`, `longitude_deg`, `altitude_m`.
+pub const SITE: &str = "holdfast.site";
 /// Name of the metadata record that says how a file was recovered.
 const RECOVERY: &str = "holdfast.recovery";
 

@@ -73,7 +73,7 @@ pub fn inspect(path: &Path) -> Result<Summary, RecordError> {
 }
 
 /// Length of the file and where its summary starts, if the file ends as it should.
-fn summary_start(path: &Path) -> Result<Option<(u64, u64)>, RecordError> {
+pub(super) fn summary_start(path: &Path) -> Result<Option<(u64, u64)>, RecordError> {
     let read = file_error(path, "cannot be read");
     let mut file = File::open(path).map_err(&read)?;
     let length = file.metadata().map_err(&read)?.len();
