@@ -28,17 +28,11 @@ use crate::time::Span;
 /// recording; for other inputs, and if it is to be another, --machine-file gives it. Lines are cut where poses are
 /// more than --gap apart; GeoJSON and KML also tell where GNSS was out.
 ///
-///   tum      t x y z qx qy qz qw, for evo
-///   csv      machine,t,x,y,z,qx,qy,qz,qw,gnss, and the place in WGS84 where the origin is known
-///   geojson  RFC 7946: a LineString for each stretch, with machine, start, end, gnss, coordTimes
-///   gpx      GPX 1.1: a track for each machine
-///   kml      KML 2.2 with gx:Track: a folder for each machine, red where GNSS was out
-///
-/// Readings are exported by import: holdfast import SESSION.mcap --machine M.toml --out DIR writes them as CSV.
+/// This is for poses. Readings are written as CSV by import: holdfast import SESSION.mcap --machine M.toml --out DIR
 ///
 /// Exit codes: 0 done, 1 failed, 2 bad arguments or machine file, 3 done, but some data was bad or lost.
 #[derive(Debug, clap::Args)]
-#[command(verbatim_doc_comment, after_help = EXAMPLES)]
+#[command(after_long_help = FORMATS_AND_EXAMPLES)]
 pub struct Arguments {
     /// Recordings of a session or their folder, an estimate's folder, or a TUM file
     #[arg(required = true)]
@@ -66,12 +60,22 @@ pub struct Arguments {
     pub gap: f64,
 }
 
-const EXAMPLES: &str = "\
+const FORMATS_AND_EXAMPLES: &str = "\
+Formats:
+  tum      t x y z qx qy qz qw, for evo
+  csv      machine,t,x,y,z,qx,qy,qz,qw,gnss, and the place in WGS84 where the
+           origin is known
+  geojson  RFC 7946: a LineString for each stretch, with machine, start, end,
+           gnss, coordTimes
+  gpx      GPX 1.1: a track for each machine
+  kml      KML 2.2 with gx:Track: a folder for each machine, red where GNSS
+           was out
+
 Examples:
   holdfast export holdfast-data/sessions/2026-03-14/ --out site.geojson
   holdfast export s-0000.mcap s-0001.mcap --machine menzi-1 --out menzi.tum
   holdfast export out/ --machine-file menzi.toml --rate 1 --out menzi.gpx
-  holdfast export out/base_odom.tum --format csv --out - | head";
+  holdfast export out/base_odom.tum --format csv --out - | gzip > base.csv.gz";
 
 /// The choices of `--frame`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -288,7 +292,7 @@ fn from_recordings(
     let site = site.or(gathered.origin.map(SiteFrame::new));
     let (target, mut writer) = begin(arguments, format, site)?;
     let count: u64 = machines.iter().map(|(_, count)| count).sum();
-    let mut progress = Progress::new("writing", Unit::Poses);
+    let mut progress = Progress::new("writing", Unit::Count("poses"));
     let mut done = 0_u64;
     for (machine, _) in &machines {
         writer.begin_track(machine, gathered.outages.remove(machine))?;

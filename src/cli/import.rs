@@ -18,24 +18,13 @@ use crate::sensors::{Arrival, Sensor};
 /// (imu.csv, gnss_left.csv, ...), or a recording of holdfast, of which the readings of one machine are taken.
 /// estimate reads what comes out.
 ///
-/// Where the readings are in a bag is said in the machine file:
-///
-///     [topics]
-///     imu = "/cabin/imu/data"              # sensor_msgs/msg/Imu; the only one that must be there
-///     base_imu = "/chassis/imu/data"       # sensor_msgs/msg/Imu
-///     gnss_left = "/gnss/left/fix"         # sensor_msgs/msg/NavSatFix, with its covariance
-///     gnss_right = "/gnss/right/fix"
-///     lidar_odometry = "/lidar/odometry"   # nav_msgs/msg/Odometry, geometry_msgs/msg/PoseStamped
-///     cabin_turn = "/joint_states"         # sensor_msgs/msg/JointState
-///     cabin_turn_joint = "cabin_turn"      # which of its joints
-///
 /// Nothing is lost silently: messages that cannot be used, numbers that cannot be a measurement, clocks that go
-/// back, torn files are counted by topic, with the first case of each. Numbers and stamps are handed on as they
-/// are; the estimator refuses them for itself.
+/// back and torn files are counted by topic, with the first case of each. Numbers and stamps are handed on as
+/// they are; the estimator refuses them for itself.
 ///
 /// Exit codes: 0 done, 1 failed, 2 bad arguments or machine file, 3 done, but some data was bad or lost.
 #[derive(Debug, clap::Args)]
-#[command(verbatim_doc_comment, after_help = EXAMPLES)]
+#[command(after_long_help = TOPICS_AND_EXAMPLES)]
 pub struct Arguments {
     /// Bag, log folder or recording
     pub source: PathBuf,
@@ -50,7 +39,19 @@ pub struct Arguments {
     pub arrival: Arrived,
 }
 
-const EXAMPLES: &str = "\
+const TOPICS_AND_EXAMPLES: &str = "\
+The machine file says where the readings are in a bag, for those that it has:
+  [topics]
+  imu = \"/cabin/imu/data\"             # sensor_msgs/msg/Imu; must be there
+  base_imu = \"/chassis/imu/data\"      # sensor_msgs/msg/Imu
+  gnss_left = \"/gnss/left/fix\"        # sensor_msgs/msg/NavSatFix
+  gnss_right = \"/gnss/right/fix\"      # the same, both with covariances
+  lidar_odometry = \"/lidar/odometry\"  # nav_msgs/msg/Odometry, or
+                                        # geometry_msgs/msg/PoseStamped
+  cabin_turn = \"/joint_states\"        # sensor_msgs/msg/JointState,
+  cabin_turn_joint = \"cabin_turn\"     # and which of its joints
+Without [topics] they are /ID/sensor/imu and so on, as in recordings.
+
 Examples:
   holdfast import rosbag2_2026_03_14/ --machine menzi.toml --out menzi.mcap
   holdfast import menzi.mcap --machine menzi.toml --out menzi-csv
@@ -178,7 +179,10 @@ fn write_all<E: Error + 'static>(
     faults: &mut Faults,
     source: &Path,
 ) -> Result<(), ReadingsError> {
-    for arrival in arrivals {
+    let whole = arrivals.size_hint().0 as f64;
+    let mut progress = Progress::new("writing", Unit::Count("readings"));
+    for (index, arrival) in arrivals.enumerate() {
+        progress.show(index as f64, whole);
         match arrival {
             Ok(arrival) => {
                 checks.note(&arrival);
@@ -190,6 +194,7 @@ fn write_all<E: Error + 'static>(
             }
         }
     }
+    progress.finish();
     sink.finish()
 }
 

@@ -22,8 +22,8 @@ pub enum Unit {
     Bytes,
     /// Seconds of data; the rate is in times real time.
     DataSeconds,
-    /// Poses.
-    Poses,
+    /// Things of this name, such as poses.
+    Count(&'static str),
 }
 
 /// The progress of one piece of work.
@@ -94,7 +94,7 @@ fn message(done: f64, whole: f64, elapsed_s: f64, unit: Unit) -> String {
             let mega = |bytes: f64| bytes / 1e6;
             format!("{:.0} of {:.0} MB, {:.1} MB/s", mega(done), mega(whole), mega(rate))
         }
-        Unit::Poses => format!("{done:.0} of {whole:.0} poses, {rate:.0} a second"),
+        Unit::Count(things) => format!("{done:.0} of {whole:.0} {things}, {rate:.0} a second"),
         Unit::DataSeconds => format!("{done:.0} of {whole:.0} s, {rate:.1} times real time"),
     };
     if rate > 0.0 { format!("{so_far}, {} left", span((whole - done).max(0.0) / rate)) } else { so_far }

@@ -71,7 +71,7 @@ pub fn gather(
     let mut bytes_before = 0;
     for path in paths {
         gathered.take_origin(path)?;
-        for channel in record::channels(path)? {
+        for channel in record::channels(path)?.0 {
             gathered.machines.extend(channel.ours().map(|(machine, _)| machine.to_owned()));
         }
         let mut messages = read_any(path)?;

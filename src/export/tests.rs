@@ -142,6 +142,13 @@ fn what_a_format_cannot_hold_is_refused() {
     assert_eq!(message(writer.begin_track("b", None)), "a tum file takes one track");
 }
 
+fn keep(poses: &mut Vec<TrackPose>) -> impl FnMut(&TrackPose) -> io::Result<()> {
+    |pose| {
+        poses.push(*pose);
+        Ok(())
+    }
+}
+
 fn scratch(name: &str) -> PathBuf {
     std::env::temp_dir().join(format!("holdfast-export-{name}-{}", std::process::id()))
 }
@@ -169,7 +176,7 @@ fn spool_sorts_what_comes_mixed_the_same_in_memory_and_on_disk() {
         let mut repeats = Vec::new();
         for machine in ["c", "a", "b"] {
             let mut poses = Vec::new();
-            repeats.push(spool.drain(machine, |pose| Ok(poses.push(*pose))).expect("drained"));
+            repeats.push(spool.drain(machine, keep(&mut poses)).expect("drained"));
             assert!(poses.windows(2).all(|pair| pair[0].stamp < pair[1].stamp));
             out.push(poses);
         }
@@ -257,11 +264,11 @@ fn recording_gives_poses_outages_origin_and_what_was_wrong() {
     put("b", Topic::Event, 60, b"{}".to_vec());
     writer.finish().expect("finished");
     let spool = || Spool::new(scratch("unused"));
-    let mut gathered = gather(&[path.clone()], None, Frame::World, spool(), |_| ()).expect("gathered");
+    let mut gathered =
+        gather(std::slice::from_ref(&path), None, Frame::World, spool(), |_| ()).expect("gathered");
     assert_eq!(gathered.origin, Some(ORIGIN));
     assert_eq!(gathered.spool.machines(), [("a".to_owned(), 100), ("b".to_owned(), 99)]);
-    let expected =
-        Outage { start: at(50), end: Some(at(60)), cause: GnssState::Degraded.name().to_owned() };
+    let expected = Outage { start: at(50), end: Some(at(60)), cause: GnssState::Degraded.name().to_owned() };
     assert_eq!(gathered.outages.remove("a"), Some(vec![expected]));
     let text = gathered.faults.to_string().replace(&path.display().to_string(), "f");
     let lines: Vec<&str> = text.lines().collect();
@@ -277,7 +284,8 @@ fn recording_gives_poses_outages_origin_and_what_was_wrong() {
         lines[2]
             .starts_with("f: /b/pose: messages that cannot be used: 1, first: message 8: the position NaN")
     );
-    let odom = gather(&[path.clone()], Some("b"), Frame::Odom, spool(), |_| ()).expect("gathered");
+    let odom =
+        gather(std::slice::from_ref(&path), Some("b"), Frame::Odom, spool(), |_| ()).expect("gathered");
     assert_eq!(odom.spool.machines(), [("b".to_owned(), 100)]);
     assert_eq!(odom.machines, ["a", "b"]);
     std::fs::remove_file(&path).expect("removed");

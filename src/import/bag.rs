@@ -73,11 +73,13 @@ impl Bag {
     pub fn open(path: &Path, topics: &Topics, id: &str) -> Result<Self, ImportError> {
         let BagFolder { files, mut faults } = mcap_files(path)?;
         let mut found: BTreeMap<String, Channel> = BTreeMap::new();
-        let mut bytes = 0;
+        let (mut bytes, mut lost_bytes) = (0, 0);
         for file in &files {
             let unreadable = |source| ImportError::Unreadable { path: file.clone(), source };
             bytes += std::fs::metadata(file).map_err(unreadable)?.len();
-            for channel in record::channels(file)? {
+            let (channels, lost) = record::channels(file)?;
+            lost_bytes += lost;
+            for channel in channels {
                 match found.get(&channel.topic) {
                     Some(other) if *other != channel => {
                         let message = format!(
@@ -114,14 +116,14 @@ impl Bag {
                 None if sensor == Sensor::Imu => {
                     return refuse(format!(
                         "has no topic {topic}, which must be that of the cabin IMU; {}",
-                        list(&found)
+                        list(&found, lost_bytes)
                     ));
                 }
                 // Where nothing was said, nothing is missing.
                 None if topics.is_empty() => {}
                 None => {
                     let kind = format!("{}: topics of the machine file that are not there", path.display());
-                    faults.note(&kind, || format!("{topic} of {sensor}; {}", list(&found)));
+                    faults.note(&kind, || format!("{topic} of {sensor}; {}", list(&found, lost_bytes)));
                 }
             }
         }
@@ -222,13 +224,17 @@ fn kind(channel: &Channel) -> String {
     format!("{message_type} in {}", if encoding.is_empty() { "no encoding" } else { encoding })
 }
 
-fn list(found: &BTreeMap<String, Channel>) -> String {
+fn list(found: &BTreeMap<String, Channel>, lost_bytes: u64) -> String {
+    let lost = match lost_bytes {
+        0 => String::new(),
+        lost => format!("; {lost} bytes are torn off or damaged"),
+    };
     if found.is_empty() {
-        return "it has no topics at all".to_owned();
+        return format!("it has no topics at all{lost}");
     }
     let topics: BTreeSet<String> =
         found.values().map(|channel| format!("{} ({})", channel.topic, channel.message_type)).collect();
-    format!("it has {}", topics.into_iter().collect::<Vec<_>>().join(", "))
+    format!("it has {}{lost}", topics.into_iter().collect::<Vec<_>>().join(", "))
 }
 
 fn about(path: &Path, channel: &Arc<Channel>, what: &str) -> String {

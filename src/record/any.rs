@@ -148,11 +148,12 @@ impl Iterator for AnyMessages {
     }
 }
 
-/// The channels of a file, by topic; from its index where it has one, else all of it is read.
+/// The channels of a file, by topic, and how many of its bytes turned out to be lost; from its index where it has
+/// one, else all of it is read.
 ///
 /// # Errors
 /// [`RecordError`] if the file cannot be read or is no MCAP file.
-pub fn channels(path: &Path) -> Result<Vec<Channel>, RecordError> {
+pub fn channels(path: &Path) -> Result<(Vec<Channel>, u64), RecordError> {
     let mut file = read_any(path)?;
     if let Some((_, at)) = summary_start(path)? {
         file.scanner.seek(at)?;
@@ -169,10 +170,11 @@ pub fn channels(path: &Path) -> Result<Vec<Channel>, RecordError> {
     } else {
         file.skim(|_, _| false)?;
     }
+    let lost_bytes = file.lost_bytes();
     let mut channels: Vec<Channel> = file.channels.into_values().map(|channel| (*channel).clone()).collect();
     channels.sort_by(|left, right| left.topic.cmp(&right.topic));
     channels.dedup();
-    Ok(channels)
+    Ok((channels, lost_bytes))
 }
 
 /// The program that wrote a file, such as `holdfast 0.1.0`; empty if it does not say.

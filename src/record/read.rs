@@ -161,6 +161,10 @@ impl Iterator for Arrivals {
     fn next(&mut self) -> Option<Self::Item> {
         self.arrivals.next()
     }
+
+    fn size_hint(&self) -> (usize, Option<usize>) {
+        self.arrivals.size_hint()
+    }
 }
 
 fn unreadable(path: PathBuf, message: Recorded<Vec<u8>>, source: crate::wire::WireError) -> RecordError {
