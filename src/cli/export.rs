@@ -106,11 +106,18 @@ pub fn run(arguments: Arguments) -> Result<Outcome, Box<dyn Error>> {
     {
         return Err(bad(format!("{}: is what is exported, and would be overwritten", input.display())));
     }
-    let (written, faults) = if recordings.is_empty() {
+    let exported = if recordings.is_empty() {
         let name = arguments.machine.clone().or(machine.map(|machine| machine.id));
-        from_tum(&arguments, format, site, name)?
+        from_tum(&arguments, format, site, name)
     } else {
-        from_recordings(&arguments, format, site, &recordings)?
+        from_recordings(&arguments, format, site, &recordings)
+    };
+    let (written, faults) = match exported {
+        // Who reads our stdout has seen enough, such as head.
+        Err(error) if arguments.out.as_os_str() == "-" && is_broken_pipe(error.as_ref()) => {
+            return Ok(Outcome::Done);
+        }
+        exported => exported?,
     };
     let thinned =
         if written.thinned > 0 { format!(", {} left out by --rate", written.thinned) } else { String::new() };
@@ -124,6 +131,10 @@ pub fn run(arguments: Arguments) -> Result<Outcome, Box<dyn Error>> {
     );
     eprint!("{faults}");
     Ok(if faults.is_empty() { Outcome::Done } else { Outcome::DataWasBad })
+}
+
+fn is_broken_pipe(error: &(dyn Error + 'static)) -> bool {
+    error.downcast_ref::<std::io::Error>().is_some_and(|error| error.kind() == std::io::ErrorKind::BrokenPipe)
 }
 
 fn bad(message: String) -> Box<dyn Error> {

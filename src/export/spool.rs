@@ -17,7 +17,7 @@ const POSES_READ: usize = 1_024;
 /// Stamp, position, quaternion.
 const RECORD_BYTES: usize = 8 * 8;
 
-/// Poses by machine; the scratch file, if it came to one, is gone with it.
+/// Poses by machine; the scratch file, if it comes to one, has no name and is gone with it.
 pub struct Spool {
     scratch: PathBuf,
     file: Option<File>,
@@ -52,7 +52,7 @@ pub struct Repeats {
 }
 
 impl Spool {
-    /// `scratch` is a file that may be made, and overwritten, if there are many poses.
+    /// `scratch` is a file that may be made, and overwritten, if there are many poses: a name on a disk with room.
     pub fn new(scratch: PathBuf) -> Self {
         Self::with_limit(scratch, POSES_HELD)
     }
@@ -133,14 +133,22 @@ impl Spool {
         Ok(repeats)
     }
 
+    /// Poses that went through the scratch file.
+    pub fn spilled(&self) -> u64 {
+        self.spilled
+    }
+
     /// Moves all that is held into the scratch file, sorted.
     fn spill(&mut self) -> io::Result<()> {
         let file = match &mut self.file {
             Some(file) => file,
             None => {
                 let mut options = OpenOptions::new();
-                self.file
-                    .insert(options.read(true).write(true).create(true).truncate(true).open(&self.scratch)?)
+                options.read(true).write(true).create(true).truncate(true);
+                let file = options.open(&self.scratch)?;
+                // Without a name it is gone with the process, however that ends.
+                fs::remove_file(&self.scratch)?;
+                self.file.insert(file)
             }
         };
         file.seek(SeekFrom::End(0))?;
@@ -159,15 +167,6 @@ impl Spool {
         }
         self.held = 0;
         Ok(())
-    }
-}
-
-impl Drop for Spool {
-    fn drop(&mut self) {
-        if self.file.take().is_some() {
-            // It holds nothing that is not elsewhere; if it cannot be removed, nobody is worse off for it.
-            let _ = fs::remove_file(&self.scratch);
-        }
     }
 }
 
