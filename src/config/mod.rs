@@ -6,6 +6,7 @@
 mod endpoint;
 mod machine;
 mod site;
+mod topics;
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -15,9 +16,10 @@ use serde::de::DeserializeOwned;
 pub use endpoint::endpoint;
 pub use machine::{
     BaseImu, Frames, Gate, Gnss, Imu, Initialization, LidarInOutage, LidarOdometry, Link, Machine, Publish,
-    Smoother, Topics, Transform, World,
+    Smoother, Transform, World,
 };
 pub use site::{Http, Record, Site, Zenoh};
+pub use topics::Topics;
 
 /// Why a configuration file cannot be used.
 #[derive(Debug, thiserror::Error)]
