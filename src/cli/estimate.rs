@@ -4,10 +4,11 @@ use std::error::Error;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use super::{Outcome, must_exist, progress};
+use super::progress::{Progress, Unit};
+use super::{Outcome, must_exist};
 use crate::config::{self, Machine};
-use crate::import::read_log_folder;
-use crate::record::{self, read_arrivals};
+use crate::import::{log_folder_bytes, read_log_folder_showing};
+use crate::record::{self, read_arrivals_showing};
 use crate::replay::{Outputs, Summary};
 use crate::sensors::Arrival;
 
@@ -64,11 +65,8 @@ pub fn run(arguments: Arguments) -> Result<Outcome, Box<dyn Error>> {
     };
     let log_s = end.seconds_since(begin).max(1e-9);
     let mut outputs = Outputs::create(&arguments.out)?;
-    let bar = progress::bar();
-    let show = |data_s: f64| {
-        bar.set_message(format!("{data_s:.0} s of {log_s:.0} s"));
-        bar.set_position((1000.0 * data_s / log_s) as u64);
-    };
+    let mut bar = Progress::new("estimating", Unit::DataSeconds);
+    let mut show = |data_s: f64| bar.show(data_s, log_s);
     let summary = if arguments.realtime {
         super::realtime::run(&arrivals, &machine, arguments.speed, &mut outputs, show)?
     } else {
@@ -78,7 +76,7 @@ pub fn run(arguments: Arguments) -> Result<Outcome, Box<dyn Error>> {
         let options = machine.estimator_options();
         crate::replay::run(arrivals, options, &mut outputs, clock, |progress| show(progress.data_s))?
     };
-    bar.finish_and_clear();
+    bar.finish();
     outputs.finish(&summary)?;
     report(&summary, &arguments.out);
     if summary.estimates == 0 {
@@ -94,9 +92,14 @@ pub fn run(arguments: Arguments) -> Result<Outcome, Box<dyn Error>> {
 /// All readings of the machine in order of arrival, and how many bytes of the log were lost.
 fn read(log: &Path, machine: &Machine) -> Result<(Vec<Arrival>, u64), Box<dyn Error>> {
     if log.is_dir() {
-        return Ok((read_log_folder(log)?.arrivals, 0));
+        let whole = log_folder_bytes(log) as f64;
+        let mut bar = Progress::new("reading", Unit::Bytes);
+        return Ok((read_log_folder_showing(log, |bytes| bar.show(bytes as f64, whole))?.arrivals, 0));
     }
-    let reader = read_arrivals(log, &machine.id)?;
+    let whole = std::fs::metadata(log).map_or(0, |file| file.len()) as f64;
+    let mut bar = Progress::new("reading", Unit::Bytes);
+    let reader = read_arrivals_showing(log, &machine.id, |bytes| bar.show(bytes as f64, whole))?;
+    bar.finish();
     let lost_bytes = reader.lost_bytes();
     let arrivals: Vec<Arrival> = reader.collect::<Result<_, _>>()?;
     if arrivals.is_empty() {

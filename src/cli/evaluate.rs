@@ -7,9 +7,10 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use crate::evaluate::{self, Alignment, Errors, Options, Report};
-use crate::import::{read_intervals, read_tum};
+use crate::import::{ImportError, StampedPose, TumReader, read_intervals};
 
-use super::{must_exist, progress};
+use super::must_exist;
+use super::progress::{Progress, Unit};
 
 /// Compare estimated trajectories with the true one
 ///
@@ -71,8 +72,7 @@ struct Estimate {
 pub fn run(arguments: Arguments) -> Result<(), Box<dyn Error>> {
     must_exist(&arguments.truth)?;
     arguments.estimate.iter().chain(&arguments.intervals).try_for_each(|path| must_exist(path))?;
-    let bar = progress::bar();
-    let truth = read_tum(&arguments.truth)?;
+    let truth = read(&arguments.truth)?;
     let intervals = arguments.intervals.as_deref().map(read_intervals).transpose()?.unwrap_or_default();
     let alignment = match arguments.align {
         Align::None => Alignment::None,
@@ -81,15 +81,12 @@ pub fn run(arguments: Arguments) -> Result<(), Box<dyn Error>> {
     };
     let options = Options { alignment, intervals, only: arguments.only, ..Options::default() };
     let mut estimates = Vec::new();
-    for (index, path) in arguments.estimate.iter().enumerate() {
-        bar.set_message(path.display().to_string());
-        bar.set_position((index * 1000 / arguments.estimate.len()) as u64);
-        let estimate = read_tum(path)?;
+    for path in &arguments.estimate {
+        let estimate = read(path)?;
         let report = evaluate::compare(&truth, &estimate, &options)
             .map_err(|error| format!("{}: {error}", path.display()))?;
         estimates.push(Estimate { file: path.clone(), report });
     }
-    bar.finish_and_clear();
     for Estimate { file, report } in &estimates {
         print(file, report);
     }
@@ -100,6 +97,20 @@ pub fn run(arguments: Arguments) -> Result<(), Box<dyn Error>> {
         fs::create_dir_all(&out).and_then(|()| fs::write(&file, text + "\n")).map_err(failed)?;
     }
     Ok(())
+}
+
+/// Reads a trajectory behind a bar; what comes after takes a small part of that time.
+fn read(path: &Path) -> Result<Vec<StampedPose>, ImportError> {
+    let whole = fs::metadata(path).map_or(0, |file| file.len()) as f64;
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let mut bar = Progress::new(&format!("reading {name}"), Unit::Bytes);
+    let mut reader = TumReader::open(path)?;
+    let mut poses = Vec::new();
+    while let Some(pose) = reader.next() {
+        poses.push(pose?);
+        bar.show(reader.bytes_read() as f64, whole);
+    }
+    Ok(poses)
 }
 
 fn print(file: &Path, report: &Report) {

@@ -11,6 +11,8 @@ mod check;
 mod demo;
 mod estimate;
 mod evaluate;
+mod export;
+mod import;
 #[cfg(feature = "shells")]
 mod logging;
 #[cfg(feature = "shells")]
@@ -47,6 +49,8 @@ enum Command {
     Simulate(simulate::Arguments),
     Estimate(estimate::Arguments),
     Evaluate(evaluate::Arguments),
+    Import(import::Arguments),
+    Export(export::Arguments),
     Check(check::Arguments),
     Verify(verify::Arguments),
     #[cfg(feature = "shells")]
@@ -95,6 +99,8 @@ pub fn main() -> ExitCode {
         Command::Simulate(arguments) => simulate::run(arguments).map(|()| Outcome::Done),
         Command::Estimate(arguments) => estimate::run(arguments),
         Command::Evaluate(arguments) => evaluate::run(arguments).map(|()| Outcome::Done),
+        Command::Import(arguments) => import::run(arguments),
+        Command::Export(arguments) => export::run(arguments),
         Command::Check(arguments) => Ok(check::run(&arguments)),
         Command::Verify(arguments) => verify::run(&arguments),
         #[cfg(feature = "shells")]

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use crate::simulate::{self, Scenario};
 
-use super::progress;
+use super::progress::{Progress, Unit};
 
 /// Simulate excavators: write their sensor readings and the truth
 ///
@@ -30,14 +30,13 @@ pub struct Arguments {
 /// The scenario cannot be used, or a file cannot be written.
 pub fn run(arguments: Arguments) -> Result<(), Box<dyn Error>> {
     let scenario = Scenario::load(&arguments.scenario)?;
-    let bar = progress::bar();
-    let show = |progress: simulate::Progress<'_>| {
-        bar.set_message(progress.machine.to_owned());
-        bar.set_position((progress.fraction * 1000.0) as u64);
-    };
+    let whole_s = scenario.file.duration_s * scenario.machine_ids().len() as f64;
+    let mut bar = Progress::new("simulating", Unit::DataSeconds);
     if arguments.out.extension().is_some_and(|extension| extension == "mcap") {
-        let written = simulate::write_recording(&scenario, &arguments.out, show);
-        bar.finish_and_clear();
+        let written = simulate::write_recording(&scenario, &arguments.out, |part| {
+            bar.show(part.fraction * whole_s, whole_s)
+        });
+        bar.finish();
         let summary = written?;
         println!(
             "{}: {} readings of {}",
@@ -47,8 +46,9 @@ pub fn run(arguments: Arguments) -> Result<(), Box<dyn Error>> {
         );
         return Ok(());
     }
-    let written = simulate::write(&scenario, &arguments.out, show);
-    bar.finish_and_clear();
+    let written =
+        simulate::write(&scenario, &arguments.out, |part| bar.show(part.fraction * whole_s, whole_s));
+    bar.finish();
     written?;
     for id in scenario.machine_ids() {
         println!("{}", arguments.out.join(id).display());

@@ -3,10 +3,10 @@
 use std::collections::BTreeSet;
 use std::error::Error;
 use std::fs;
-use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
-use super::{BadArguments, Outcome, must_exist, progress};
+use super::progress::{Progress, Unit};
+use super::{BadArguments, Outcome, must_exist};
 use crate::record::{Checker, FileState, Missing, RecordError, Stream};
 
 /// Check recordings: checksums, indexes and counts of each file, and gaps in the numbers of the messages
@@ -37,16 +37,15 @@ pub fn run(arguments: &Arguments) -> Result<Outcome, Box<dyn Error>> {
         sessions.extend(found);
     }
     let bytes_of = |path: &PathBuf| fs::metadata(path).map_or(0, |about| about.len());
-    let bar = progress::bar();
+    let mut progress = Progress::new("verifying", Unit::Bytes);
     let all_bytes: u64 = sessions.iter().flatten().map(bytes_of).sum();
     let mut bytes_before = 0;
     let mut outcome = Outcome::Done;
     for files in &sessions {
         let mut checker = Checker::default();
         for path in files {
-            bar.set_message(path.file_name().unwrap_or_default().to_string_lossy().into_owned());
             let checked = checker.check(path, |bytes| {
-                bar.set_position((bytes_before + bytes) * 1000 / all_bytes.max(1));
+                progress.show((bytes_before + bytes) as f64, all_bytes as f64);
             });
             bytes_before += bytes_of(path);
             let (line, is_whole) = match checked {
@@ -75,17 +74,17 @@ pub fn run(arguments: &Arguments) -> Result<Outcome, Box<dyn Error>> {
                 // Says the path itself.
                 Err(error) => (error.to_string(), false),
             };
-            say(&bar, &line)?;
+            progress.say(&line)?;
             if !is_whole {
                 outcome = Outcome::DataWasBad;
             }
         }
         for line in missing(&checker) {
-            say(&bar, &line)?;
+            progress.say(&line)?;
             outcome = Outcome::DataWasBad;
         }
     }
-    bar.finish_and_clear();
+    progress.finish();
     Ok(outcome)
 }
 
@@ -112,11 +111,6 @@ fn machines(ids: &[String]) -> String {
         ids => ids.join(", "),
     }
 }
-
-fn say(bar: &indicatif::ProgressBar, line: &str) -> std::io::Result<()> {
-    bar.suspend(|| writeln!(std::io::stdout(), "{line}"))
-}
-
 /// The files at a path, those of a session together.
 fn sessions_at(path: &Path) -> Result<Vec<Vec<PathBuf>>, Box<dyn Error>> {
     if !path.is_dir() {

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use serde::{Deserialize, Serialize};
 
 use super::endpoint::{endpoints, listening};
-use super::{Checked, Violation, identifier, positive, violation, within};
+use super::{Checked, Topics, Violation, identifier, positive, violation, within};
 use crate::estimator::{self, GateOptions, InOutage};
 use crate::frames::geodesy::{Geodetic, SiteFrame};
 use crate::frames::{self, Cabin, Pose};
@@ -60,6 +60,9 @@ pub struct Machine {
     /// What the machine keeps itself.
     #[serde(default)]
     pub record: OnBoard,
+    /// Where its readings are in a ROS 2 bag.
+    #[serde(default)]
+    pub topics: Topics,
 }
 
 /// Origin of the site frame, WGS84; the same for all machines of a site.
@@ -474,6 +477,7 @@ impl Checked for Machine {
         endpoints("link.connect", &self.link.connect)?;
         listening("link", &self.link.listen, self.link.unauthenticated)?;
         within("link.lease_ms", self.link.lease_ms as f64, 100.0, 600_000.0)?;
-        within("record.size_max_mb", self.record.size_max_mb as f64, 1.0, 1e9)
+        within("record.size_max_mb", self.record.size_max_mb as f64, 1.0, 1e9)?;
+        self.topics.check()
     }
 }

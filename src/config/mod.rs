@@ -6,6 +6,7 @@
 mod endpoint;
 mod machine;
 mod site;
+mod topics;
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -18,6 +19,7 @@ pub use machine::{
     Publish, Smoother, Transform, World,
 };
 pub use site::{Http, Record, Rotate, Site, Zenoh};
+pub use topics::Topics;
 
 /// Why a configuration file cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -163,6 +165,7 @@ pub(crate) fn violation<T>(key: &str, message: String) -> Result<T, Violation> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sensors::Sensor;
 
     const MINIMAL: &str = "id = \"a\"\n[world]\nlatitude_deg = 47.0\nlongitude_deg = 8.0\naltitude_m = 400.0\n\
                            [frames]\nbase_from_cabin = {}\ncabin_from_imu = {}\n";
@@ -193,6 +196,23 @@ mod tests {
         assert!(message.starts_with("m.toml:3:1: world.latitude_deg is 147"), "{message}");
         let message = error(&MINIMAL.replace("\"a\"", "\"a/b\""));
         assert!(message.starts_with("m.toml:1:1: id is \"a/b\""), "{message}");
+    }
+
+    #[test]
+    fn topics_are_topics_and_of_one_sensor_each() {
+        let topics = "[topics]\nimu = \"/cabin/imu\"\ncabin_turn = \"/joints\"\n";
+        let machine: Machine = parse(&format!("{MINIMAL}{topics}"), Path::new("m.toml")).expect("valid");
+        assert_eq!(machine.topics.of(Sensor::Imu), Some("/cabin/imu"));
+        assert_eq!(machine.topics.of(Sensor::BaseImu), None);
+        assert_eq!(machine.topics.cabin_turn_joint, "cabin_turn");
+        let message = error(&format!("{MINIMAL}{}", topics.replace("/joints", "joints")));
+        assert!(
+            message.starts_with("m.toml:11:1: topics.cabin_turn is \"joints\", must be a topic"),
+            "{message}"
+        );
+        let message = error(&format!("{MINIMAL}{}", topics.replace("/joints", "/cabin/imu")));
+        assert_eq!(message, "m.toml:11:1: topics.cabin_turn is \"/cabin/imu\", which is imu already");
+        assert!(error(&format!("{MINIMAL}[topics]\nlidar = \"/l\"\n")).contains("unknown field `lidar`"));
     }
 
     #[test]

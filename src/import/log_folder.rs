@@ -11,6 +11,9 @@ use crate::lie::{Se3, So3, Vec3};
 use crate::sensors::{Arrival, CabinTurn, GnssFix, ImuSample, LidarPose, Reading, Sensor};
 use crate::time::Stamp;
 
+/// Rows between two calls of `progress`.
+const PROGRESS_EVERY: usize = 4_096;
+
 /// What is in a log folder.
 #[derive(Clone, Debug)]
 pub struct LogFolder {
@@ -27,11 +30,29 @@ pub struct LogFolder {
 /// # Errors
 /// [`ImportError`] with file, line and column.
 pub fn read_log_folder(directory: &Path) -> Result<LogFolder, ImportError> {
+    read_log_folder_showing(directory, |_| ())
+}
+
+/// The length of its files, as far as they can be looked at.
+pub fn log_folder_bytes(directory: &Path) -> u64 {
+    let length = |sensor| std::fs::metadata(log_file(directory, sensor)).map_or(0, |file| file.len());
+    Sensor::ALL.into_iter().map(length).sum()
+}
+
+/// [`read_log_folder`] that tells how many bytes of [`log_folder_bytes`] are behind.
+///
+/// # Errors
+/// [`ImportError`] with file, line and column.
+pub fn read_log_folder_showing(
+    directory: &Path,
+    mut progress: impl FnMut(u64),
+) -> Result<LogFolder, ImportError> {
     let mut arrivals = Vec::new();
+    let mut bytes = 0;
     for sensor in Sensor::ALL {
         let path = log_file(directory, sensor);
         if sensor == Sensor::Imu || path.exists() {
-            read_sensor(&path, sensor, &mut arrivals)?;
+            bytes += read_sensor(&path, sensor, &mut arrivals, |part| progress(bytes + part))?;
         }
     }
     // Stable, and the files were read in the order of the sensors, so ties are already as they should be.
@@ -41,7 +62,13 @@ pub fn read_log_folder(directory: &Path) -> Result<LogFolder, ImportError> {
     Ok(LogFolder { arrivals, truth })
 }
 
-fn read_sensor(path: &Path, sensor: Sensor, arrivals: &mut Vec<Arrival>) -> Result<(), ImportError> {
+/// Reads a file; gives back its length.
+fn read_sensor(
+    path: &Path,
+    sensor: Sensor,
+    arrivals: &mut Vec<Arrival>,
+    mut progress: impl FnMut(u64),
+) -> Result<u64, ImportError> {
     let text = Text::read(path)?;
     let mut rows = text.rows(Separator::Comma);
     let Some(head) = rows.next() else {
@@ -49,7 +76,10 @@ fn read_sensor(path: &Path, sensor: Sensor, arrivals: &mut Vec<Arrival>) -> Resu
     };
     let columns = Columns::find(&head, sensor)?;
     let mut latest = Stamp::from_nanos(i64::MIN);
-    for row in rows {
+    for (index, row) in rows.enumerate() {
+        if index.is_multiple_of(PROGRESS_EVERY) {
+            progress(text.offset(&row));
+        }
         row.expect_fields(head.fields().len())?;
         let stamp = row.stamp(columns.stamp)?;
         let arrival = columns.arrival.map_or(Ok(stamp), |field| row.stamp(field))?;
@@ -57,7 +87,7 @@ fn read_sensor(path: &Path, sensor: Sensor, arrivals: &mut Vec<Arrival>) -> Resu
         let reading = columns.reading(&row, sensor, stamp)?;
         arrivals.push(Arrival { arrival: latest, reading });
     }
-    Ok(())
+    Ok(text.bytes())
 }
 
 /// In which field of a row each column stands.

@@ -1,11 +1,16 @@
-//! Readers of what others (and the room `export`) wrote: log folders and TUM trajectories.
+//! Readers of what others (and the room `export`) wrote: log folders, ROS 2 bags and TUM trajectories.
 //!
 //! A file that is not what it should be gives one error with file, line and column. A number that cannot
 //! be a measurement (NaN, a stamp that goes back) is data: it is handed on, and the estimator refuses
 //! and counts it.
 
+mod bag;
+mod bag_folder;
+mod checks;
 mod intervals;
 mod log_folder;
+mod ros;
+mod source;
 mod table;
 mod tum;
 
@@ -14,9 +19,12 @@ mod tests;
 
 use std::path::PathBuf;
 
+pub use bag::{ArrivalTime, Bag, BagReport, BagTopic};
+pub use checks::Checks;
 pub use intervals::{Interval, read_intervals};
-pub use log_folder::{LogFolder, read_log_folder};
-pub use tum::{StampedPose, read_tum};
+pub use log_folder::{LogFolder, log_folder_bytes, read_log_folder, read_log_folder_showing};
+pub use source::{Source, source_of};
+pub use tum::{StampedPose, TumReader, read_tum};
 
 /// Why a file cannot be imported.
 #[derive(Debug, thiserror::Error)]
@@ -41,4 +49,15 @@ pub enum ImportError {
         /// What is wrong, and what would be right.
         message: String,
     },
+    /// A bag, or what is to be one, cannot be used.
+    #[error("{}: {message}", path.display())]
+    Bag {
+        /// Which file or folder.
+        path: PathBuf,
+        /// What is wrong, and what would be right.
+        message: String,
+    },
+    /// An MCAP file cannot be read.
+    #[error(transparent)]
+    Record(#[from] crate::record::RecordError),
 }

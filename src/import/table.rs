@@ -29,13 +29,18 @@ impl Text {
     /// The lines that are not empty.
     pub(super) fn rows(&self, separator: Separator) -> impl Iterator<Item = Row<'_>> {
         let text = self.text.strip_prefix('\u{feff}').unwrap_or(&self.text);
-        text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()).map(move |(index, line)| {
-            let fields = match separator {
-                Separator::Comma => line.split(',').map(str::trim).collect(),
-                Separator::Space => line.split_ascii_whitespace().collect(),
-            };
-            Row { path: &self.path, line: index + 1, text: line, fields }
-        })
+        let lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
+        lines.map(move |(index, line)| Row::cut(&self.path, index + 1, line, separator))
+    }
+
+    /// Its length.
+    pub(super) fn bytes(&self) -> u64 {
+        self.text.len() as u64
+    }
+
+    /// How many bytes are before a row.
+    pub(super) fn offset(&self, row: &Row<'_>) -> u64 {
+        (row.text.as_ptr() as usize - self.text.as_ptr() as usize) as u64
     }
 
     pub(super) fn error(&self, line: usize, message: String) -> ImportError {
@@ -51,6 +56,15 @@ pub(super) enum Separator {
 }
 
 impl<'a> Row<'a> {
+    /// Line `line`, counted from 1, of the file `path`.
+    pub(super) fn cut(path: &'a Path, line: usize, text: &'a str, separator: Separator) -> Self {
+        let fields = match separator {
+            Separator::Comma => text.split(',').map(str::trim).collect(),
+            Separator::Space => text.split_ascii_whitespace().collect(),
+        };
+        Self { path, line, text, fields }
+    }
+
     pub(super) fn fields(&self) -> &[&'a str] {
         &self.fields
     }

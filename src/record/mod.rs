@@ -9,6 +9,7 @@
 //! A topic has a channel for each boot of its machine, for each boot counts its messages anew. The files of a
 //! session agree on the numbers of their channels, so that they can be put one after the other as they are.
 
+mod any;
 mod check;
 mod complete;
 mod encode;
@@ -32,17 +33,21 @@ use serde::{Deserialize, Serialize};
 use crate::time::Stamp;
 use crate::wire::{BootId, Topic};
 
+pub use any::{AnyMessage, AnyMessages, Channel, channels, library, metadata, read_any};
 pub use check::{Checked, Checker, Missing, Stream};
 pub use journal::{BootRun, read_live_runs, read_live_runs_of};
 pub use ledger::{Gap, GapCause, GapCounts, Ledger, Plan};
 pub use merge::{Piece, merge};
 pub use order::read_in_order;
 pub use ranges::Ranges;
-pub use read::{Arrivals, Messages, machines, read_arrivals, read_messages};
+pub use read::{Arrivals, Messages, machines, read_arrivals, read_arrivals_showing, read_messages};
 pub use recover::{inspect, recover};
 pub use ring::{FILE_BYTES, Ring, RingOptions, RingReader, Shelf};
 pub use write::{ChannelBook, RecordWriter, SYNC_EVERY};
 
+/// Name of the metadata record that tells of the site: `id`, `name`, and the origin of the site frame as
+/// `latitude_deg`, `longitude_deg`, `altitude_m`.
+pub const SITE: &str = "holdfast.site";
 /// Name of the metadata record that says how a file was recovered.
 const RECOVERY: &str = "holdfast.recovery";
 /// In a channel's metadata: the boot that counts its messages.

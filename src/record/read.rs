@@ -10,6 +10,9 @@ use super::{BOOT, RecordError, Recorded, parse_channel_name, stamp_of};
 use crate::sensors::Arrival;
 use crate::wire::{BootId, Topic, decode_reading};
 
+/// Messages between two calls of `progress`.
+const PROGRESS_EVERY: u64 = 1_024;
+
 /// The messages of a file in the order in which they were received. What is torn or damaged is passed over.
 pub struct Messages {
     scanner: Scanner,
@@ -108,10 +111,27 @@ pub struct Arrivals {
 /// # Errors
 /// [`RecordError`] if the file cannot be read or is no MCAP file.
 pub fn read_arrivals(path: &Path, machine: &str) -> Result<Arrivals, RecordError> {
+    read_arrivals_showing(path, machine, |_| ())
+}
+
+/// [`read_arrivals`] that tells, some times a chunk, how many of the file's bytes are behind.
+///
+/// # Errors
+/// [`RecordError`] if the file cannot be read or is no MCAP file.
+pub fn read_arrivals_showing(
+    path: &Path,
+    machine: &str,
+    mut progress: impl FnMut(u64),
+) -> Result<Arrivals, RecordError> {
     let mut messages = read_messages(path)?;
     let mut found = Vec::new();
-    for message in messages.by_ref() {
+    let mut read = 0_u64;
+    while let Some(message) = messages.next() {
         let message = message?;
+        read += 1;
+        if read.is_multiple_of(PROGRESS_EVERY) {
+            progress(messages.scanner.at());
+        }
         let Topic::Sensor(sensor) = message.topic else { continue };
         if message.machine != machine {
             continue;
@@ -142,6 +162,10 @@ impl Iterator for Arrivals {
 
     fn next(&mut self) -> Option<Self::Item> {
         self.arrivals.next()
+    }
+
+    fn size_hint(&self) -> (usize, Option<usize>) {
+        self.arrivals.size_hint()
     }
 }
 

@@ -67,7 +67,11 @@ impl Header {
         cdr.string(&self.frame_id);
     }
 
-    pub(super) fn read(cdr: &mut CdrReader<'_>) -> Result<Self, CdrError> {
+    /// Reads the fields.
+    ///
+    /// # Errors
+    /// [`CdrError`] says what is wrong with which byte.
+    pub fn read(cdr: &mut CdrReader<'_>) -> Result<Self, CdrError> {
         let seconds = i64::from(cdr.i32()?);
         let at = cdr.at();
         let nanos = i64::from(cdr.u32()?);
