@@ -8,10 +8,8 @@ use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 
 use super::Shared;
-use crate::site::sessions::{RecordingState, disk_free_bytes};
+use crate::site::sessions::RecordingState;
 
-/// Less free space than this is not enough, bytes.
-const DISK_FLOOR_BYTES: u64 = 200_000_000;
 /// A recording that was not synced for so long is stuck, s.
 const UNSYNCED_MAX_S: f64 = 5.0;
 
@@ -56,12 +54,6 @@ fn reasons(shared: &Shared) -> Vec<String> {
         if unsynced_s > UNSYNCED_MAX_S {
             reasons.push(format!("the recording was not synced for {unsynced_s:.1} s"));
         }
-    }
-    match shared.record_directory.as_deref().and_then(disk_free_bytes) {
-        Some(free) if free < DISK_FLOOR_BYTES => {
-            reasons.push(format!("the disk has {} MB left", free / 1_000_000));
-        }
-        _ => {}
     }
     reasons
 }

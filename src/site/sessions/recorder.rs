@@ -335,6 +335,14 @@ impl Desk {
     /// Begins a session.
     fn begin(&mut self, notes: &Notes, now: Stamp) -> Result<(), RecordError> {
         self.progress.next_session = self.schedule.next(now);
+        self.take_room()?;
+        self.session = Some(Running::begin(&self.catalogue, &self.about_the_site, &self.books, notes, now)?);
+        self.recording();
+        Ok(())
+    }
+
+    /// Whether there is room enough for another file.
+    fn take_room(&self) -> Result<(), RecordError> {
         let path = self.catalogue.folder().path();
         let no_room = |source| RecordError::File { path: path.to_owned(), what: "has no room", source };
         if disk_free_bytes(path).is_some_and(|free| self.reserve.is_touched(free)) {
@@ -345,8 +353,6 @@ impl Desk {
         {
             return Err(no_room(error));
         }
-        self.session = Some(Running::begin(&self.catalogue, &self.about_the_site, &self.books, notes, now)?);
-        self.recording();
         Ok(())
     }
 
@@ -400,16 +406,13 @@ impl Desk {
         if self.session.as_ref().is_some_and(|session| !session.exists()) {
             self.end_session();
         }
-        let begun = match &mut self.session {
+        let begun = self.take_room().and_then(|()| match &mut self.session {
             None => self.begin(&Notes::default(), now),
             Some(session) => session.open(now),
-        };
+        });
         match begun {
             Err(error) => self.pause(&error),
             Ok(()) => {
-                if self.ballast.take().is_err_and(|error| says_full(&error)) {
-                    return self.pause_for_room(0);
-                }
                 self.recording();
                 tracing::info!("recording goes on");
             }
