@@ -236,6 +236,7 @@ fn recording_gives_poses_outages_origin_and_what_was_wrong() {
         let message = Recorded {
             machine: machine.to_owned(),
             topic,
+            boot: None,
             sequence: 0,
             received: at(ms),
             sent: at(ms),

@@ -55,8 +55,10 @@ pub fn session(folder: &Path) -> Session {
             let now = arrival.arrival;
             let mut put = |topic: Topic, payload: Vec<u8>, received: Stamp| {
                 let machine = machine.id.clone();
-                messages
-                    .push((received, Recorded { machine, topic, sequence, received, sent: now, payload }));
+                messages.push((
+                    received,
+                    Recorded { machine, topic, boot: None, sequence, received, sent: now, payload },
+                ));
                 sequence += 1;
             };
             let estimate = estimator.predict(arrival);
