@@ -141,7 +141,7 @@ fn kill(dice: &mut Dice, kills: u64) {
     let mut files = yard.recordings();
     MACHINES.iter().for_each(|id| files.extend(yard.on_board(id)));
     for file in &files {
-        let checked = Checker::default().check(file).unwrap_or_else(|error| panic!("{error}"));
+        let checked = Checker::default().check(file, |_| ()).unwrap_or_else(|error| panic!("{error}"));
         assert_eq!(checked.faults, Vec::<String>::new(), "{}", file.display());
     }
     println!("{} files open, and are what they say", files.len());
