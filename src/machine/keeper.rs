@@ -38,6 +38,8 @@ const MESSAGES_QUEUED: usize = 16_384;
 const QUESTIONS_QUEUED: usize = 4;
 /// How often the thread looks at the clock while nothing comes.
 const TURN: Duration = Duration::from_millis(100);
+/// However full the disk, a ring is not made smaller than this.
+const BYTES_MIN: u64 = 1_000_000;
 /// A disk that refused is tried again after so long.
 const RETRY_AFTER: Duration = Duration::from_secs(5);
 
@@ -187,7 +189,7 @@ struct Keeping {
 }
 
 impl Keeping {
-    fn run(self, messages: &Receiver<Recorded<Vec<u8>>>) {
+    fn run(mut self, messages: &Receiver<Recorded<Vec<u8>>>) {
         // Not the system's clock, which somebody may set.
         let (origin, start) = (clock::wall(), Instant::now());
         let now = || origin + Span::from_nanos(i64::try_from(start.elapsed().as_nanos()).unwrap_or(i64::MAX));
@@ -201,6 +203,11 @@ impl Keeping {
             let Err(error) = outcome else { return };
             tracing::error!(%error, "no on-board record; tried again in {} s", RETRY_AFTER.as_secs());
             self.state.set(Kept::NotNow, Some(error.to_string()));
+            if is_disk_full(&error) {
+                // Others need the room: the ring is made smaller, so that its oldest files go.
+                let held = self.state.shelf.bytes();
+                self.options.bytes_max = (held - held / 8).clamp(BYTES_MIN, self.options.bytes_max);
+            }
             let retry_at = Instant::now() + RETRY_AFTER;
             // What comes meanwhile waits in the queue, as much as there is room for.
             while Instant::now() < retry_at {
@@ -211,6 +218,17 @@ impl Keeping {
             }
         }
     }
+}
+
+fn is_disk_full(error: &RecordError) -> bool {
+    let mut cause: Option<&(dyn std::error::Error + 'static)> = Some(error);
+    while let Some(error) = cause {
+        if let Some(error) = error.downcast_ref::<std::io::Error>() {
+            return error.kind() == std::io::ErrorKind::StorageFull;
+        }
+        cause = error.source();
+    }
+    false
 }
 
 /// Writes until nobody can send any more.

@@ -170,8 +170,9 @@ impl Ring {
             number,
             _lock: lock,
         };
-        ring.start_file(now)?;
+        // Before anything is written: the disk may be full.
         ring.delete_oldest();
+        ring.start_file(now)?;
         Ok(ring)
     }
 
@@ -277,7 +278,8 @@ impl Ring {
         loop {
             let mut shelved = self.shelf.lock();
             let bytes: u64 = shelved.files.iter().map(|file| file.bytes).sum();
-            if bytes <= self.options.bytes_max || shelved.files.len() < 2 {
+            let kept = usize::from(self.writer.is_some());
+            if bytes <= self.options.bytes_max || shelved.files.len() <= kept {
                 return;
             }
             let Some(oldest) = shelved.files.pop_front() else { return };

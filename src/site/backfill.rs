@@ -13,6 +13,7 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{SyncSender, TrySendError};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant, SystemTime};
@@ -88,14 +89,14 @@ impl Books {
     }
 
     /// Takes in what a file has.
-    fn read(&self, path: &Path) {
+    fn read(&self, path: &Path, stopping: &AtomicBool) {
         let Ok(messages) = read_messages(path) else { return };
         let mut found = messages.map_while(Result::ok).filter_map(|message| {
             Some((message.machine, message.boot?, message.topic, message.sequence as u32))
         });
         loop {
             let some: Vec<_> = found.by_ref().take(FOUND_AT_ONCE).collect();
-            if some.is_empty() {
+            if some.is_empty() || stopping.load(Ordering::Relaxed) {
                 return;
             }
             let mut ledger = self.lock();
@@ -109,7 +110,7 @@ impl Books {
     pub fn revoke(&self, recovered: Option<&Path>) {
         self.lock().revoke();
         if let Some(path) = recovered {
-            self.read(path);
+            self.read(path, &AtomicBool::new(false));
         }
     }
 }
@@ -136,6 +137,10 @@ pub(super) struct Opened {
 /// The fetching task.
 pub(super) struct Backfill {
     task: JoinHandle<()>,
+    /// Ends the reading of files.
+    stopping: Arc<AtomicBool>,
+    /// Whether all files were read, so that the books may be saved.
+    read: Arc<AtomicBool>,
     books: Books,
     path: PathBuf,
 }
@@ -164,25 +169,31 @@ impl Backfill {
             machines: BTreeMap::new(),
             jobs: JoinSet::new(),
         };
+        let stopping = Arc::new(AtomicBool::new(false));
         let read = {
-            let books = books.clone();
-            move || read_files(&sessions, saved, &books)
+            let (books, stopping) = (books.clone(), Arc::clone(&stopping));
+            move || read_files(&sessions, saved, &books, &stopping)
         };
+        let read_all = Arc::new(AtomicBool::new(false));
+        let is_read = Arc::clone(&read_all);
         let task = async move {
             if tokio::task::spawn_blocking(read).await.is_ok() {
+                is_read.store(true, Ordering::Relaxed);
                 fetching.run(frames, stopped).await;
             }
         };
-        Self { task: tokio::spawn(task), books, path }
+        Self { task: tokio::spawn(task), stopping, read: read_all, books, path }
     }
 
     /// Ends the fetching, and returns what was never fetched, for the recording to say so.
-    pub async fn stop(self) -> (Vec<Gap>, Saving) {
+    pub async fn stop(self) -> (Vec<Gap>, Option<Saving>) {
+        self.stopping.store(true, Ordering::Relaxed);
         self.task.abort();
         // An error says that it was ended.
         let _ = self.task.await;
         let gaps = self.books.lock().open_gaps();
-        (gaps, Saving { books: self.books, path: self.path })
+        let saving = Saving { books: self.books, path: self.path };
+        (gaps, self.read.load(Ordering::Relaxed).then_some(saving))
     }
 }
 
@@ -199,7 +210,7 @@ impl Saving {
 }
 
 /// Reads what was recorded since the books were saved; everything, if they were not.
-fn read_files(sessions: &Path, saved: Option<SystemTime>, books: &Books) {
+fn read_files(sessions: &Path, saved: Option<SystemTime>, books: &Books, stopping: &AtomicBool) {
     let known_before = saved.and_then(|saved| saved.checked_sub(SAVE_MARGIN));
     let mut files: Vec<(SystemTime, PathBuf)> = Vec::new();
     for session in std::fs::read_dir(sessions).into_iter().flatten().flatten() {
@@ -215,7 +226,7 @@ fn read_files(sessions: &Path, saved: Option<SystemTime>, books: &Books) {
     }
     files.sort();
     for (_, path) in files {
-        books.read(&path);
+        books.read(&path, stopping);
     }
 }
 
@@ -262,7 +273,7 @@ struct Asked {
     older: Option<(Instant, Holdings)>,
     piece_bytes: u64,
     /// Messages that the running job, or the last one, has still to fetch.
-    left: Arc<std::sync::atomic::AtomicU64>,
+    left: Arc<AtomicU64>,
     told: GapCounts,
 }
 
@@ -387,7 +398,7 @@ impl Fetching {
         let ledger = self.books.lock();
         for (id, asked) in &mut self.machines {
             let mut counts = ledger.counts(id);
-            counts.open = counts.open.max(asked.left.load(std::sync::atomic::Ordering::Relaxed));
+            counts.open = counts.open.max(asked.left.load(Ordering::Relaxed));
             if counts == asked.told {
                 continue;
             }
@@ -407,7 +418,7 @@ struct Job {
     machine: Arc<str>,
     before: Option<Holdings>,
     piece_bytes: u64,
-    left: Arc<std::sync::atomic::AtomicU64>,
+    left: Arc<AtomicU64>,
 }
 
 impl Job {
@@ -431,7 +442,7 @@ impl Job {
     async fn fetch(&mut self, holdings: &Holdings) -> Result<(), String> {
         let plan = self.books.lock().plan(&self.machine, holdings, self.before.as_ref());
         let mut left = plan.count();
-        self.left.store(left, std::sync::atomic::Ordering::Relaxed);
+        self.left.store(left, Ordering::Relaxed);
         self.note(&plan.lost);
         // What is young is missed most.
         for (boot, mut wanted) in plan.wanted.into_iter().rev() {
@@ -439,10 +450,10 @@ impl Job {
                 let begun = Instant::now();
                 let Some(count) = self.piece(boot, &mut wanted, begun).await? else { break };
                 left = left.saturating_sub(count);
-                self.left.store(left, std::sync::atomic::Ordering::Relaxed);
+                self.left.store(left, Ordering::Relaxed);
             }
         }
-        self.left.store(0, std::sync::atomic::Ordering::Relaxed);
+        self.left.store(0, Ordering::Relaxed);
         Ok(())
     }
 

@@ -199,7 +199,7 @@ impl Site {
             for gap in gaps {
                 let _ = recorder.inbox().try_send(backfill::note(&gap));
             }
-            books = Some(saving);
+            books = saving;
         }
         if let Some(recorder) = self.recorder {
             // The thread finishes its file; joining it must not hold up the others.

@@ -170,6 +170,9 @@ function machine(id, now_ms) {
       received: Math.round(100 * seconds),
       missed: 2,
       refused: 0,
+      gaps_open: 0,
+      gaps_filled: 2,
+      gaps_lost: 0,
       clock_offset_s: 0.0012,
     },
   };

@@ -59,7 +59,16 @@ export function machineView(changes: Partial<MachineView> = {}): MachineView {
         accel_bias: [0.05, 0, -0.02],
       },
     },
-    link: { pose_rate_hz: 100, received: 4000, missed: 2, refused: 0, clock_offset_s: null },
+    link: {
+      pose_rate_hz: 100,
+      received: 4000,
+      missed: 2,
+      refused: 0,
+      gaps_open: 0,
+      gaps_filled: 2,
+      gaps_lost: 0,
+      clock_offset_s: null,
+    },
     ...changes,
   };
 }

@@ -195,6 +195,9 @@ const link = object<LinkView>({
   received: number,
   missed: number,
   refused: number,
+  gaps_open: number,
+  gaps_filled: number,
+  gaps_lost: number,
   clock_offset_s: nullable(number),
 });
 

@@ -344,6 +344,21 @@ export interface components {
             clock_offset_s?: number | null;
             /**
              * Format: int64
+             * @description Messages that the recording lacked, and that were fetched.
+             */
+            gaps_filled: number;
+            /**
+             * Format: int64
+             * @description Messages that will never be in the recording.
+             */
+            gaps_lost: number;
+            /**
+             * Format: int64
+             * @description Messages that the recording lacks so far; they are fetched from the machine's own record.
+             */
+            gaps_open: number;
+            /**
+             * Format: int64
              * @description Messages that were sent but did not arrive, by their sequence numbers.
              */
             missed: number;

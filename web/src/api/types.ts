@@ -128,6 +128,9 @@ export interface LinkView {
   received: number;
   missed: number;
   refused: number;
+  gaps_open: number;
+  gaps_filled: number;
+  gaps_lost: number;
   clock_offset_s: number | null;
 }
 

@@ -54,6 +54,13 @@ function Numbers({ machine, state }: DetailsProps) {
       <Field name={text.fields.missed}>
         {text.fields.missedValue(format.count(link.missed), format.count(link.received + link.missed))}
       </Field>
+      <Field name={text.fields.gaps}>
+        {text.fields.gapsValue(
+          format.count(link.gaps_open),
+          format.count(link.gaps_filled),
+          format.count(link.gaps_lost),
+        )}
+      </Field>
       <Field name={text.fields.refused}>{format.count(link.refused)}</Field>
       <Field name={text.fields.clockOffset}>
         {link.clock_offset_s === null

@@ -51,6 +51,8 @@ export const de: Text = {
     poseRate: "Posen empfangen",
     missed: "Verlorene Nachrichten",
     missedValue: (missed, received) => `${missed} von ${received}`,
+    gaps: "Lücken der Aufzeichnung",
+    gapsValue: (open, filled, lost) => `${open} offen, ${filled} nachgeholt, ${lost} verloren`,
     refused: "Unbrauchbare Nachrichten",
     clockOffset: "Uhrenversatz",
     boot: "Programmstart",

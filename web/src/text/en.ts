@@ -49,6 +49,8 @@ export const en = {
     poseRate: "Poses received",
     missed: "Missed messages",
     missedValue: (missed: string, received: string) => `${missed} of ${received}`,
+    gaps: "Gaps in the recording",
+    gapsValue: (open: string, filled: string, lost: string) => `${open} open, ${filled} filled, ${lost} lost`,
     refused: "Unusable messages",
     clockOffset: "Clock offset",
     boot: "Start of its program",
