@@ -205,7 +205,9 @@ impl Ring {
     /// # Errors
     /// [`RecordError`] if it cannot be written; it is recovered at the next start then.
     pub fn finish(mut self) -> Result<(), RecordError> {
-        self.close_file()
+        self.close_file()?;
+        self.delete_oldest();
+        Ok(())
     }
 
     /// After each step: tells what has reached the disk, goes on to the next file, and deletes the oldest.
