@@ -17,6 +17,7 @@ mod logging;
 mod machine;
 mod progress;
 mod realtime;
+mod replay;
 mod simulate;
 #[cfg(feature = "shells")]
 mod site;
@@ -49,6 +50,7 @@ enum Command {
     Evaluate(evaluate::Arguments),
     Check(check::Arguments),
     Verify(verify::Arguments),
+    Replay(replay::Arguments),
     #[cfg(feature = "shells")]
     Machine(machine::Arguments),
     #[cfg(feature = "shells")]
@@ -97,6 +99,7 @@ pub fn main() -> ExitCode {
         Command::Evaluate(arguments) => evaluate::run(arguments).map(|()| Outcome::Done),
         Command::Check(arguments) => Ok(check::run(&arguments)),
         Command::Verify(arguments) => verify::run(&arguments),
+        Command::Replay(arguments) => replay::run(arguments),
         #[cfg(feature = "shells")]
         Command::Machine(arguments) => machine::run(arguments).map(|()| Outcome::Done),
         #[cfg(feature = "shells")]

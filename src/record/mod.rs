@@ -9,6 +9,7 @@
 //! A topic has a channel for each boot of its machine, for each boot counts its messages anew. The files of a
 //! session agree on the numbers of their channels, so that they can be put one after the other as they are.
 
+mod boots;
 mod check;
 mod complete;
 mod encode;
@@ -32,6 +33,7 @@ use serde::{Deserialize, Serialize};
 use crate::time::Stamp;
 use crate::wire::{BootId, Topic};
 
+pub use boots::{Published, RecordedBoot, RecordedBoots, Said, read_boots, read_said};
 pub use check::{Checked, Checker, Missing, Stream};
 pub use journal::{BootRun, read_live_runs, read_live_runs_of};
 pub use ledger::{Gap, GapCause, GapCounts, Ledger, Plan};
@@ -45,6 +47,8 @@ pub use write::{ChannelBook, RecordWriter, SYNC_EVERY};
 
 /// Name of the metadata record that says how a file was recovered.
 const RECOVERY: &str = "holdfast.recovery";
+/// Name of the metadata record that says whose an on-board record is, and how the machine was configured.
+pub const MACHINE: &str = "holdfast.machine";
 /// In a channel's metadata: the boot that counts its messages.
 const BOOT: &str = "boot";
 

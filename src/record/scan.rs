@@ -122,6 +122,11 @@ impl Scanner {
         Ok(Self { path: path.to_owned(), file, at: magic_bytes, length, ended, damage })
     }
 
+    /// How far the file was read.
+    pub(super) fn read_bytes(&self) -> u64 {
+        self.at
+    }
+
     /// Goes on at a byte of the file, where a record must begin.
     pub(super) fn seek(&mut self, at: u64) -> Result<(), RecordError> {
         self.file.seek(SeekFrom::Start(at)).map_err(file_error(&self.path, "cannot be read"))?;
