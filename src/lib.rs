@@ -16,6 +16,8 @@ pub mod link;
 pub mod live;
 #[cfg(feature = "shells")]
 pub mod machine;
+#[cfg(feature = "shells")]
+pub mod player;
 pub mod preintegration;
 pub mod record;
 pub mod replay;

@@ -105,7 +105,7 @@ fn choose(ids: &[&str], wanted: Option<&str>) -> Result<usize, String> {
 }
 
 /// Resolves on Ctrl-C or SIGTERM; both are caught from now on.
-fn shutdown_signal() -> std::io::Result<impl Future<Output = ()>> {
+pub(super) fn shutdown_signal() -> std::io::Result<impl Future<Output = ()>> {
     use tokio::signal::unix::{SignalKind, signal};
     let mut interrupt = signal(SignalKind::interrupt())?;
     let mut terminate = signal(SignalKind::terminate())?;

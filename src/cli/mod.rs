@@ -19,6 +19,7 @@ mod logging;
 mod machine;
 mod progress;
 mod realtime;
+mod replay;
 mod simulate;
 #[cfg(feature = "shells")]
 mod site;
@@ -53,6 +54,7 @@ enum Command {
     Export(export::Arguments),
     Check(check::Arguments),
     Verify(verify::Arguments),
+    Replay(replay::Arguments),
     #[cfg(feature = "shells")]
     Machine(machine::Arguments),
     #[cfg(feature = "shells")]
@@ -103,6 +105,7 @@ pub fn main() -> ExitCode {
         Command::Export(arguments) => export::run(arguments),
         Command::Check(arguments) => Ok(check::run(&arguments)),
         Command::Verify(arguments) => verify::run(&arguments),
+        Command::Replay(arguments) => replay::run(arguments),
         #[cfg(feature = "shells")]
         Command::Machine(arguments) => machine::run(arguments).map(|()| Outcome::Done),
         #[cfg(feature = "shells")]

@@ -43,7 +43,7 @@ use zenoh::liveliness::LivelinessToken;
 
 use crate::link::{self, LinkError};
 use crate::wire::{BootId, alive_key};
-use crate::{config, estimator};
+use crate::{config, estimator, record};
 
 pub use counters::Report;
 pub use source::{Source, SourceError};
@@ -210,7 +210,7 @@ fn about(
     ];
     entries.extend(seed.map(|seed| ("simulation_seed", seed.to_string())));
     let entries = entries.into_iter().map(|(key, value)| (key.to_owned(), value)).collect();
-    vec![("holdfast.machine".to_owned(), entries)]
+    vec![(record::MACHINE.to_owned(), entries)]
 }
 
 /// Differs from run to run; the standard library's hasher is seeded by the system.

@@ -23,8 +23,8 @@ use crate::sensors::Arrival;
 use crate::state::{Estimate, Event, GnssState, Health, Mode, Takeover};
 use crate::time::{Span, Stamp};
 use crate::wire::{
-    Attachment, BootId, JournalPage, Latency, MachineReport, PAGE_READINGS_MAX, RigidMotion, RosMessage,
-    Topic, encode_json, encode_reading, odom_message, pose_message,
+    Attachment, BootId, JournalHead, JournalPage, Latency, MachineReport, PAGE_READINGS_MAX, RigidMotion,
+    RosMessage, Topic, encode_json, encode_reading, odom_message, pose_message,
 };
 
 /// Estimates and readings on the way out: half a minute of them, for they are not in the record yet. What waits
@@ -132,7 +132,7 @@ impl Outbox {
             losses_told: [0; Counters::LOSSES],
             prediction: None,
             predictions_told: Times::default(),
-            page: JournalPage::new(boot, 0, 0),
+            page: first_page(machine, boot),
         };
         let task = tokio::spawn(task.run(stream_receiver, events_receiver, health_receiver));
         Ok((Self { task, sender }, Outlets { stream, events, health, counters }))
@@ -156,6 +156,13 @@ impl Outbox {
 pub(super) fn is_published(machine: &config::Machine, topic: Topic) -> bool {
     // The journal is about readings, and worth nothing without them.
     machine.publish.sensors || !matches!(topic, Topic::Sensor(_) | Topic::Journal)
+}
+
+/// The journal begins with what the readings are estimated by, so that a recording can be run again alone.
+fn first_page(machine: &config::Machine, boot: BootId) -> JournalPage {
+    let software = env!("CARGO_PKG_VERSION").to_owned();
+    let head = JournalHead { software, machine_file: machine.to_toml() };
+    JournalPage { head: Some(Box::new(head)), ..JournalPage::new(boot, 0, 0) }
 }
 
 /// What every report repeats.

@@ -6,13 +6,15 @@ use std::path::Path;
 use super::{RecordError, Recorded, read_in_order};
 use crate::sensors::{Arrival, Sensor};
 use crate::state::{LiveRun, Takeover};
-use crate::wire::{BootId, JournalPage, Topic, WireError, decode_journal_page, decode_reading};
+use crate::wire::{BootId, JournalHead, JournalPage, Topic, WireError, decode_journal_page, decode_reading};
 
 /// One boot of a machine, as far as the recording holds it without a gap.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BootRun {
     /// Which boot.
     pub boot: BootId,
+    /// Who took the readings, if the journal tells.
+    pub head: Option<JournalHead>,
     /// From the boot on; what came after a gap is not in it.
     pub run: LiveRun,
     /// What is missing, if something is: the run ends before it.
@@ -39,9 +41,14 @@ pub fn read_live_runs_of<'a>(
     paths: impl IntoIterator<Item = &'a Path>,
     machine: &str,
 ) -> Result<Vec<BootRun>, RecordError> {
+    Ok(runs_of(read_in_order(paths, machine)?))
+}
+
+/// The boots in the messages of one machine, which are in the order in which it sent them.
+pub(super) fn runs_of(messages: impl IntoIterator<Item = Recorded<Vec<u8>>>) -> Vec<BootRun> {
     let mut shelf = Shelf::default();
     let mut pages = Vec::new();
-    for message in read_in_order(paths, machine)? {
+    for message in messages {
         match message.topic {
             Topic::Sensor(sensor) => shelf.put(sensor, message),
             Topic::Journal => pages.push(decode_journal_page(&message.payload)),
@@ -60,10 +67,13 @@ pub fn read_live_runs_of<'a>(
         };
         if runs.last().is_none_or(|last| last.boot != page.boot) {
             shelf.next_boot(page.boot);
-            runs.push(BootRun { boot: page.boot, run: LiveRun::default(), gap: None });
+            runs.push(BootRun { boot: page.boot, head: None, run: LiveRun::default(), gap: None });
         }
-        if let Some(last) = runs.last_mut()
-            && last.gap.is_none()
+        let Some(last) = runs.last_mut() else { continue };
+        if let Some(head) = &page.head {
+            last.head = Some((**head).clone());
+        }
+        if last.gap.is_none()
             && let Err(gap) = append(&mut last.run, &page, &mut shelf)
         {
             last.gap = Some(match unreadable.take() {
@@ -72,14 +82,15 @@ pub fn read_live_runs_of<'a>(
             });
         }
     }
-    Ok(runs)
+    runs
 }
 
 /// Adds a page to a run.
 fn append(run: &mut LiveRun, page: &JournalPage, shelf: &mut Shelf) -> Result<(), String> {
     let end = run.arrivals.len() as u64;
     if page.first != end {
-        return Err(format!("the journal goes on at reading {}, not at {end}", page.first));
+        let begun = if end == 0 { ": the beginning of the boot is not recorded" } else { "" };
+        return Err(format!("the journal goes on at reading {}, not at {end}{begun}", page.first));
     }
     let takeovers = run.takeovers.len() as u64;
     if page.takeovers != takeovers {

@@ -10,6 +10,7 @@
 //! session agree on the numbers of their channels, so that they can be put one after the other as they are.
 
 mod any;
+mod boots;
 mod check;
 mod complete;
 mod encode;
@@ -34,6 +35,7 @@ use crate::time::Stamp;
 use crate::wire::{BootId, Topic};
 
 pub use any::{AnyMessage, AnyMessages, Channel, channels, library, metadata, read_any};
+pub use boots::{Published, RecordedBoot, RecordedBoots, Said, read_boots, read_said};
 pub use check::{Checked, Checker, Missing, Stream};
 pub use journal::{BootRun, read_live_runs, read_live_runs_of};
 pub use ledger::{Gap, GapCause, GapCounts, Ledger, Plan};
@@ -50,6 +52,8 @@ pub use write::{ChannelBook, RecordWriter, SYNC_EVERY};
 pub const SITE: &str = "holdfast.site";
 /// Name of the metadata record that says how a file was recovered.
 const RECOVERY: &str = "holdfast.recovery";
+/// Name of the metadata record that says whose an on-board record is, and how the machine was configured.
+pub const MACHINE: &str = "holdfast.machine";
 /// In a channel's metadata: the boot that counts its messages.
 const BOOT: &str = "boot";
 

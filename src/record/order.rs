@@ -22,14 +22,23 @@ pub fn read_in_order<'a>(
     paths: impl IntoIterator<Item = &'a Path>,
     machine: &str,
 ) -> Result<Vec<Recorded<Vec<u8>>>, RecordError> {
-    let mut boots: BTreeMap<Option<BootId>, Topics> = BTreeMap::new();
+    let mut messages = Vec::new();
     for path in paths {
         for message in read_messages(path)? {
             let message = message?;
             if message.machine == machine {
-                boots.entry(message.boot).or_default().entry(message.topic).or_default().push(message);
+                messages.push(message);
             }
         }
+    }
+    Ok(sorted(messages))
+}
+
+/// The messages of one machine in that order.
+pub(super) fn sorted(messages: Vec<Recorded<Vec<u8>>>) -> Vec<Recorded<Vec<u8>>> {
+    let mut boots: BTreeMap<Option<BootId>, Topics> = BTreeMap::new();
+    for message in messages {
+        boots.entry(message.boot).or_default().entry(message.topic).or_default().push(message);
     }
     let mut runs: Vec<(Stamp, Vec<Recorded<Vec<u8>>>)> = Vec::new();
     for (boot, topics) in boots {
@@ -37,7 +46,7 @@ pub fn read_in_order<'a>(
         runs.push((first, in_order(topics, boot.is_some())));
     }
     runs.sort_by_key(|(first, _)| *first);
-    Ok(runs.into_iter().flat_map(|(_, messages)| messages).collect())
+    runs.into_iter().flat_map(|(_, messages)| messages).collect()
 }
 
 fn in_order(topics: Topics, counted: bool) -> Vec<Recorded<Vec<u8>>> {

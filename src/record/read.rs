@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 use mcap::records::Record;
 
 use super::scan::Scanner;
-use super::{BOOT, RecordError, Recorded, parse_channel_name, stamp_of};
+use super::{BOOT, MACHINE, RecordError, Recorded, parse_channel_name, stamp_of};
 use crate::sensors::Arrival;
-use crate::wire::{BootId, Topic, decode_reading};
+use crate::wire::{BootId, JournalHead, Topic, decode_reading};
 
 /// Messages between two calls of `progress`.
 const PROGRESS_EVERY: u64 = 1_024;
@@ -17,6 +17,8 @@ const PROGRESS_EVERY: u64 = 1_024;
 pub struct Messages {
     scanner: Scanner,
     channels: BTreeMap<u16, (String, Topic, Option<BootId>)>,
+    /// What metadata say of boots.
+    about: BTreeMap<(String, BootId), JournalHead>,
     ready: VecDeque<Recorded<Vec<u8>>>,
 }
 
@@ -25,13 +27,28 @@ pub struct Messages {
 /// # Errors
 /// [`RecordError`] if the file cannot be read or is no MCAP file.
 pub fn read_messages(path: &Path) -> Result<Messages, RecordError> {
-    Ok(Messages { scanner: Scanner::open(path)?, channels: BTreeMap::new(), ready: VecDeque::new() })
+    Ok(Messages {
+        scanner: Scanner::open(path)?,
+        channels: BTreeMap::new(),
+        about: BTreeMap::new(),
+        ready: VecDeque::new(),
+    })
 }
 
 impl Messages {
     /// Bytes that could not be read so far: of damaged chunks, and of the torn end once it was reached.
     pub fn lost_bytes(&self) -> u64 {
         self.scanner.damage.torn_bytes + self.scanner.damage.damaged_bytes
+    }
+
+    /// How far the file was read.
+    pub fn read_bytes(&self) -> u64 {
+        self.scanner.at()
+    }
+
+    /// What on-board records say of the boots in them, as far as the file was read.
+    pub(super) fn about(&self) -> &BTreeMap<(String, BootId), JournalHead> {
+        &self.about
     }
 
     fn take_block(&mut self, records: Vec<Record<'static>>) {
@@ -55,6 +72,16 @@ impl Messages {
                             sent: stamp_of(header.publish_time),
                             payload: data.into_owned(),
                         });
+                    }
+                }
+                Record::Metadata(metadata) if metadata.name == MACHINE => {
+                    let told = |key: &str| metadata.metadata.get(key).cloned();
+                    let boot = told("boot").and_then(|boot| boot.parse().ok());
+                    if let (Some(machine), Some(boot), Some(machine_file)) =
+                        (told("machine"), boot, told("config"))
+                    {
+                        let software = told("software").unwrap_or_default();
+                        self.about.insert((machine, boot), JournalHead { software, machine_file });
                     }
                 }
                 _ => {}

@@ -2,15 +2,17 @@
 //!
 //! The run is deterministic: the same readings give the same files but for the times in `summary.json`, which
 //! come from the caller's clock. What ran on two threads, in the room `live`, comes out the same to the bit when
-//! it is run [`again`] with the takeovers that were kept of it.
+//! it is run [`again`] with the takeovers that were kept of it; [`check`] holds that against what was published.
 
 mod again;
+mod check;
 mod outputs;
 mod summary;
 
 use std::io;
 
 pub use again::{NotThatRun, again};
+pub use check::{Checked, Difference, How, check};
 pub use outputs::Outputs;
 pub use summary::{Distribution, Moments, Outage, Summary, Tally, Times};
 

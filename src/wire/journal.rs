@@ -17,6 +17,10 @@ pub const PAGE_READINGS_MAX: usize = 256;
 pub struct JournalPage {
     /// The run of the process that took the readings.
     pub boot: BootId,
+    /// On the first page of a boot: who takes the readings. `None` on all others, and from software that does not
+    /// tell.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub head: Option<Box<JournalHead>>,
     /// Number of the page's first reading, counted over all sensors from 0.
     pub first: u64,
     /// So many solutions were taken over since the boot before this page.
@@ -32,10 +36,19 @@ pub struct JournalPage {
     pub taken_over: Option<u64>,
 }
 
+/// What one must know, beside readings and journal, to get the estimates of a boot again.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct JournalHead {
+    /// Version of the machine's software.
+    pub software: String,
+    /// The machine file, TOML, with all defaults.
+    pub machine_file: String,
+}
+
 impl JournalPage {
     /// An empty page.
     pub fn new(boot: BootId, first: u64, takeovers: u64) -> Self {
-        Self { boot, first, takeovers, sensors: String::new(), unseen: vec![], taken_over: None }
+        Self { boot, head: None, first, takeovers, sensors: String::new(), unseen: vec![], taken_over: None }
     }
 
     /// Number of the reading after the page's last.
@@ -111,6 +124,11 @@ mod tests {
         assert_eq!(page.next(), JournalPage::new(page.boot, 13, 4));
         let bytes = encode_json("journal page", &plain).expect("JSON");
         assert_eq!(decode_journal_page(&bytes).expect("own bytes"), plain);
+        let head = JournalHead { software: "0.1.0".to_owned(), machine_file: "id = \"a\"\n".to_owned() };
+        let first = JournalPage { head: Some(Box::new(head)), ..plain };
+        let bytes = encode_json("journal page", &first).expect("JSON");
+        assert_eq!(decode_journal_page(&bytes).expect("own bytes"), first);
+        assert_eq!(first.next().head, None);
     }
 
     #[test]

@@ -1,0 +1,191 @@
+//! `holdfast replay`: the machines of a session once more.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::error::Error;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use super::{BadArguments, Outcome, must_exist};
+use crate::config::{self, Machine};
+use crate::record;
+
+mod check;
+#[cfg(feature = "shells")]
+mod play;
+
+/// Run the machines of a recorded session again: to a site, or to check every bit of their poses
+///
+/// SESSION is an MCAP recording of holdfast, several, or the folder of a session; a machine's on-board record is
+/// one, too. What was fetched later, and so is late in the file, is put in its place.
+///
+/// With --check, the estimators of all machines run again on the recorded readings, as fast as the cores allow,
+/// and take over every solution where the journal says that they did; what they give is compared with the recorded
+/// poses and odometry, byte for byte. Prints one line for each machine, and of the first sample that differs which
+/// it is and how far apart. How the machines were configured is in the session, or in files given with
+/// --machine-file. With --speed max they run the same way, and nothing is compared.
+///
+/// Else each machine becomes a Zenoh peer that says to the site all that was recorded of it, when it said it or so
+/// much faster, with the stamps that it had and new boot ids. Give it a site of its own, with ids like those that
+/// really work elsewhere it would be mistaken for them.
+///
+/// Exit codes: 0 done, 1 something differs or failed, 2 bad arguments or machine file, 3 done, but some of it could
+/// not be checked or read.
+#[derive(Debug, clap::Args)]
+pub struct Arguments {
+    /// Recordings, or the folder of a session
+    #[arg(required = true, value_name = "SESSION")]
+    pub sessions: Vec<PathBuf>,
+    /// How fast: a factor of real time, or max: in this process alone, and no faster than it can
+    #[arg(long, value_name = "X|max", value_parser = speed)]
+    pub speed: Option<Speed>,
+    /// Zenoh endpoint of the site to which the machines speak
+    #[arg(long, value_name = "ENDPOINT", default_value = "tcp/127.0.0.1:7447", value_parser = endpoint)]
+    pub site: String,
+    /// Id of that site; what the machines were configured for, if it is not told
+    #[arg(long, value_name = "ID")]
+    pub site_id: Option<String>,
+    /// Only these machines
+    #[arg(long, value_name = "ID", num_args = 1..)]
+    pub machine: Vec<String>,
+    /// Compare what the estimators give with what was recorded
+    #[arg(long)]
+    pub check: bool,
+    /// Machine files to use instead of what the session holds, each for the machine of its id
+    #[arg(long, value_name = "TOML", num_args = 1..)]
+    pub machine_file: Vec<PathBuf>,
+}
+
+/// How fast a session passes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Speed {
+    /// So many seconds in a second.
+    Times(f64),
+    /// As fast as it can be computed.
+    Max,
+}
+
+fn speed(text: &str) -> Result<Speed, String> {
+    if text == "max" { Ok(Speed::Max) } else { super::speed(text).map(Speed::Times) }
+}
+
+fn endpoint(text: &str) -> Result<String, String> {
+    config::endpoint(text).map(|()| text.to_owned())
+}
+
+/// A session and whose part of it is wanted.
+struct Session {
+    files: Vec<PathBuf>,
+    bytes: u64,
+    machines: Vec<String>,
+}
+
+impl Session {
+    fn paths(&self) -> impl Iterator<Item = &Path> {
+        self.files.iter().map(PathBuf::as_path)
+    }
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A file cannot be used, nobody listens, or something came out otherwise than it was recorded.
+pub fn run(arguments: Arguments) -> Result<Outcome, Box<dyn Error>> {
+    let in_process = arguments.check || arguments.speed == Some(Speed::Max);
+    if let (true, Some(Speed::Times(_))) = (arguments.check, arguments.speed) {
+        let message = "--check runs as fast as it can: --speed goes with it as max only";
+        return Err(BadArguments(message.to_owned()).into());
+    }
+    let mut machine_files: BTreeMap<String, Machine> = BTreeMap::new();
+    for path in &arguments.machine_file {
+        let machine: Machine = config::load(path)?;
+        machine_files.insert(machine.id.clone(), machine);
+    }
+    let session = open(&arguments)?;
+    if in_process {
+        return check::run(&session, &machine_files, arguments.check);
+    }
+    let speed = match arguments.speed {
+        Some(Speed::Times(speed)) => speed,
+        _ => 1.0,
+    };
+    play(&session, &arguments, machine_files, speed)
+}
+
+#[cfg(feature = "shells")]
+fn play(
+    session: &Session,
+    arguments: &Arguments,
+    machine_files: BTreeMap<String, Machine>,
+    speed: f64,
+) -> Result<Outcome, Box<dyn Error>> {
+    let site = play::Site { endpoint: arguments.site.clone(), id: arguments.site_id.clone(), machine_files };
+    play::run(session, &site, speed)
+}
+
+#[cfg(not(feature = "shells"))]
+fn play(
+    _: &Session,
+    arguments: &Arguments,
+    _: BTreeMap<String, Machine>,
+    speed: f64,
+) -> Result<Outcome, Box<dyn Error>> {
+    let message = format!(
+        "this holdfast was built without Zenoh, and cannot replay to {} at speed {speed}: use --check or --speed max",
+        arguments.site_id.as_ref().unwrap_or(&arguments.site)
+    );
+    Err(BadArguments(message).into())
+}
+
+fn open(arguments: &Arguments) -> Result<Session, Box<dyn Error>> {
+    let mut files = Vec::new();
+    for path in &arguments.sessions {
+        must_exist(path)?;
+        files.extend(files_at(path)?);
+    }
+    let mut found: BTreeSet<String> = BTreeSet::new();
+    for path in &files {
+        found.extend(record::machines(path)?);
+    }
+    let mut wanted: BTreeSet<String> = arguments.machine.iter().cloned().collect();
+    if let Some(unknown) = wanted.iter().find(|id| !found.contains(*id)) {
+        let known: Vec<_> = found.iter().map(String::as_str).collect();
+        let message = format!("the session has no machine {unknown}, but: {}", known.join(", "));
+        return Err(BadArguments(message).into());
+    }
+    if wanted.is_empty() {
+        wanted = found;
+    }
+    if wanted.is_empty() {
+        return Err(BadArguments("the session has no machines".to_owned()).into());
+    }
+    let bytes = files.iter().map(|path| fs::metadata(path).map_or(0, |about| about.len())).sum();
+    Ok(Session { files, bytes, machines: wanted.into_iter().collect() })
+}
+
+/// A file, or those of a session in their order.
+fn files_at(path: &Path) -> Result<Vec<PathBuf>, Box<dyn Error>> {
+    if !path.is_dir() {
+        return Ok(vec![path.to_owned()]);
+    }
+    let read = || fs::read_dir(path)?.map(|entry| Ok(entry?.path())).collect::<std::io::Result<Vec<_>>>();
+    let mut files = read().map_err(|error| format!("{}: {error}", path.display()))?;
+    files.retain(|file| file.extension().is_some_and(|ending| ending == "mcap"));
+    files.sort();
+    if files.is_empty() {
+        let message = format!("{}: there are no recordings (*.mcap) in it", path.display());
+        return Err(BadArguments(message).into());
+    }
+    Ok(files)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn speed_is_a_number_or_max() {
+        assert_eq!(speed("max"), Ok(Speed::Max));
+        assert_eq!(speed("2"), Ok(Speed::Times(2.0)));
+        assert!(speed("0").is_err() && speed("fast").is_err());
+    }
+}

@@ -1,0 +1,76 @@
+//! A session's machines as peers of a site.
+
+use std::collections::BTreeMap;
+use std::error::Error;
+use std::time::Instant;
+
+use super::super::progress::{Progress, Unit};
+use super::super::{Outcome, logging, machine::shutdown_signal};
+use super::Session;
+use crate::config::{self, Machine};
+use crate::player::{self, Options, Part};
+use crate::record::{Said, read_said};
+
+/// Where it is played to.
+pub(super) struct Site {
+    pub(super) endpoint: String,
+    pub(super) id: Option<String>,
+    pub(super) machine_files: BTreeMap<String, Machine>,
+}
+
+/// Plays the session until its end or a signal.
+pub(super) fn run(session: &Session, site: &Site, speed: f64) -> Result<Outcome, Box<dyn Error>> {
+    logging::start();
+    let mut reading = Progress::new("reading", Unit::Bytes);
+    let mut machines = Vec::new();
+    let mut lost_bytes = 0;
+    let all_bytes = session.bytes.max(1) * session.machines.len() as u64;
+    for (index, id) in (0..).zip(&session.machines) {
+        let said = read_said(session.paths(), id, |bytes| {
+            reading.show((index * session.bytes + bytes) as f64, all_bytes as f64);
+        })?;
+        lost_bytes = said.lost_bytes;
+        let site = site_of(site, id, &said)?;
+        machines.push(Part { id: id.clone(), site, messages: said.messages });
+    }
+    reading.finish();
+    let mut playing = Progress::new("playing", Unit::DataSeconds);
+    let begun = Instant::now();
+    let tell = |progress: player::Progress| playing.show(progress.data_s, progress.length_s);
+    let options = Options { machines, endpoint: site.endpoint.clone(), speed };
+    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
+    let played = runtime.block_on(async {
+        let shutdown = shutdown_signal()?;
+        Ok::<_, Box<dyn Error>>(player::play(options, tell, shutdown).await?)
+    })?;
+    playing.finish();
+    println!(
+        "{}: {} messages, {:.1} s, in {:.1} s",
+        session.machines.join(", "),
+        played.sent,
+        played.data_s,
+        begun.elapsed().as_secs_f64()
+    );
+    if lost_bytes > 0 {
+        eprintln!("{lost_bytes} bytes of the recording cannot be read");
+        return Ok(Outcome::DataWasBad);
+    }
+    Ok(Outcome::Done)
+}
+
+/// The id of the site: what is asked for, or what the machine was configured for.
+fn site_of(site: &Site, id: &str, said: &Said) -> Result<String, Box<dyn Error>> {
+    if let Some(wanted) = &site.id {
+        return Ok(wanted.clone());
+    }
+    if let Some(machine) = site.machine_files.get(id) {
+        return Ok(machine.link.site.clone());
+    }
+    Ok(match said.machine_file() {
+        Some(text) => {
+            let path = format!("machine file of {id} in the recording");
+            config::parse::<Machine>(&text, path.as_ref())?.link.site
+        }
+        None => config::Link::default().site,
+    })
+}

@@ -1,0 +1,163 @@
+//! One machine's session, and what it declares.
+
+use std::collections::BTreeMap;
+
+use zenoh::Wait as _;
+use zenoh::bytes::Encoding;
+use zenoh::liveliness::LivelinessToken;
+use zenoh::pubsub::Publisher;
+use zenoh::qos::{CongestionControl, Priority};
+use zenoh::query::Queryable;
+
+use super::Part;
+use crate::config;
+use crate::link::{self, LinkError};
+use crate::record::Recorded;
+use crate::wire::{
+    Attachment, BootId, Holdings, Kept, RecordRequest, Topic, alive_key, encode_json, payload_stamp,
+    record_key, topic_key,
+};
+
+/// A machine of a recording, connected.
+pub(super) struct Peer {
+    id: String,
+    site: String,
+    session: zenoh::Session,
+    publishers: BTreeMap<Topic, Publisher<'static>>,
+    record: Queryable<()>,
+    /// The boot that speaks: as it was recorded, its new id, and its token.
+    boot: Option<(Option<BootId>, BootId, LivelinessToken)>,
+}
+
+impl Peer {
+    /// Opens the session; does not wait for anybody to answer.
+    pub(super) async fn open(part: &Part, endpoint: &str) -> Result<Self, LinkError> {
+        let dialled = config::Link { connect: vec![endpoint.to_owned()], ..config::Link::default() };
+        let session = link::open(link::machine_config(&dialled)?).await?;
+        let Part { id, site, .. } = part;
+        let mut publishers = BTreeMap::new();
+        for topic in Topic::ALL {
+            let key = topic_key(site, id, topic);
+            let encoding =
+                if topic.is_json() { Encoding::APPLICATION_JSON } else { Encoding::APPLICATION_CDR };
+            // Of one priority, so that all stays in order; a site that does not keep up is waited for.
+            let publisher = session
+                .declare_publisher(key.clone())
+                .congestion_control(CongestionControl::Block)
+                .priority(Priority::Data)
+                .encoding(encoding)
+                .await
+                .map_err(|error| LinkError::Declare { key, reason: link::reason(&error) })?;
+            publishers.insert(topic, publisher);
+        }
+        let key = record_key(site, id);
+        let record = session
+            .declare_queryable(key.clone())
+            .callback(|query| {
+                let payload = query.payload().map(|payload| payload.to_bytes()).unwrap_or_default();
+                let nothing = Holdings { kept: Kept::No, boots: vec![] };
+                let answer = match RecordRequest::decode(&payload) {
+                    Ok(RecordRequest::Holdings) => encode_json("holdings", &nothing).ok(),
+                    _ => None,
+                };
+                let answered = match answer {
+                    Some(answer) => query.reply(query.key_expr().clone(), answer).wait(),
+                    None => query.reply_err("this machine is replayed, and has no record").wait(),
+                };
+                if let Err(error) = answered {
+                    tracing::debug!(%error, "a question about the record could not be answered");
+                }
+            })
+            .await
+            .map_err(|error| LinkError::Declare { key, reason: link::reason(&error) })?;
+        Ok(Self { id: id.clone(), site: site.clone(), session, publishers, record, boot: None })
+    }
+
+    /// Waits until somebody listens.
+    pub(super) async fn heard(&self, look_every: std::time::Duration) {
+        let Some(publisher) = self.publishers.get(&Topic::Pose) else { return };
+        while !publisher.matching_status().await.is_ok_and(|status| status.matching()) {
+            tokio::time::sleep(look_every).await;
+        }
+    }
+
+    /// Says a message again.
+    pub(super) async fn say(&mut self, message: Recorded<Vec<u8>>) -> Result<(), LinkError> {
+        let Recorded { topic, boot: recorded, sequence, sent, mut payload, .. } = message;
+        let boot = match &self.boot {
+            Some((of, boot, _)) if *of == recorded => *boot,
+            _ => self.begin_boot(recorded).await?,
+        };
+        if let (true, Some(recorded)) = (topic.is_json(), recorded) {
+            payload = renamed(payload, recorded, boot);
+        }
+        let stamp = payload_stamp(topic, &payload).unwrap_or(sent);
+        let attachment = Attachment { sequence, boot, stamp, sent }.encode();
+        if let Some(publisher) = self.publishers.get(&topic)
+            && let Err(error) = publisher.put(payload).attachment(attachment.as_slice()).await
+        {
+            tracing::debug!(%error, %topic, "a message could not be sent");
+        }
+        Ok(())
+    }
+
+    async fn begin_boot(&mut self, recorded: Option<BootId>) -> Result<BootId, LinkError> {
+        self.end_boot().await;
+        let boot = BootId(random());
+        let key = alive_key(&self.site, &self.id, boot);
+        let token = self.session.liveliness().declare_token(key.clone()).await;
+        let token = token.map_err(|error| LinkError::Declare { key, reason: link::reason(&error) })?;
+        self.boot = Some((recorded, boot, token));
+        Ok(boot)
+    }
+
+    /// The machine is off until it speaks again.
+    pub(super) async fn end_boot(&mut self) {
+        if let Some((_, _, token)) = self.boot.take()
+            && let Err(error) = token.undeclare().await
+        {
+            tracing::warn!(%error, "the liveliness token could not be taken back");
+        }
+    }
+
+    /// Takes everything back.
+    pub(super) async fn close(mut self) {
+        self.end_boot().await;
+        if let Err(error) = self.record.undeclare().await {
+            tracing::warn!(%error, "the queryable of the record could not be taken back");
+        }
+        drop(self.publishers);
+        link::close(self.session).await;
+    }
+}
+
+/// Reports and pages of the journal name their boot.
+fn renamed(payload: Vec<u8>, recorded: BootId, boot: BootId) -> Vec<u8> {
+    match String::from_utf8(payload) {
+        Ok(text) => {
+            let told = |boot| format!("\"boot\":\"{boot}\"");
+            text.replacen(&told(recorded), &told(boot), 1).into_bytes()
+        }
+        Err(error) => error.into_bytes(),
+    }
+}
+
+/// Differs from run to run; the standard library's hasher is seeded by the system.
+fn random() -> u64 {
+    use std::hash::{BuildHasher, Hasher};
+    std::hash::RandomState::new().build_hasher().finish()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::wire::{JournalPage, decode_journal_page};
+
+    #[test]
+    fn page_of_a_replayed_boot_names_the_new_one() {
+        let page = encode_json("journal page", &JournalPage::new(BootId(0xab), 3, 1)).expect("JSON");
+        let renamed = renamed(page, BootId(0xab), BootId(0xcd));
+        assert_eq!(decode_journal_page(&renamed).expect("a page"), JournalPage::new(BootId(0xcd), 3, 1));
+        assert_ne!(random(), random());
+    }
+}
