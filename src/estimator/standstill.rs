@@ -54,8 +54,11 @@ const READINGS_APART_MAX_S: f64 = 0.25;
 pub(super) const TIE_EVERY: Span = Span::from_millis(1_000);
 /// The first tie of a standstill spans so much: until it is there, the machine drifts as if it were driving.
 pub(super) const FIRST_TIE: Span = Span::from_millis(300);
-/// One sigma of a tie: rad (the encoder's steps and play), m (rocking of the chassis).
-pub(super) const TIE_SIGMA: [f64; 2] = [1.6e-4, 8.0e-4];
+/// One sigma of a standstill's first tie: rad (the encoder's steps and play), m (rocking of the chassis).
+const TIE_SIGMA: [f64; 2] = [3.0e-4, 1.0e-3];
+/// The errors of a chain of ties telescope: however long it is, only those of its ends remain. Independent factors
+/// add up, so the n-th tie has the first one's sigma over n, down to that over this: the sum over n⁻² is bounded, too.
+const TIES_COUNTED_MAX: u32 = 4;
 
 /// How still a machine's IMU is at rest.
 #[derive(Clone, Copy, Debug)]
@@ -98,6 +101,8 @@ pub(super) struct Standstill {
     turns: VecDeque<CabinTurn>,
     /// The newer node of the newest tie of this standstill.
     pub tied: Option<Stamp>,
+    /// Ties of this standstill.
+    ties: u32,
 }
 
 /// The speed that the chassis IMU says it has gained.
@@ -137,6 +142,7 @@ impl Standstill {
             rest_rate: None,
             turns: VecDeque::new(),
             tied: None,
+            ties: 0,
         }
     }
 
@@ -174,6 +180,7 @@ impl Standstill {
         self.quiet = None;
         self.speed = None;
         self.tied = None;
+        self.ties = 0;
     }
 
     fn look(&mut self, now: Stamp) {
@@ -238,6 +245,17 @@ impl Standstill {
         }
         let (since, until) = (since + CERTAIN_AFTER, until - CERTAIN_AFTER);
         (until > since).then_some((since, until))
+    }
+
+    /// A tie was made up to this node.
+    pub fn note_tie(&mut self, to: Stamp) {
+        self.tied = Some(to);
+        self.ties += 1;
+    }
+
+    /// One sigma of the next tie: rad, m.
+    pub fn tie_sigma(&self) -> [f64; 2] {
+        TIE_SIGMA.map(|sigma| sigma / f64::from((self.ties + 1).min(TIES_COUNTED_MAX)))
     }
 
     /// Stamp of the newest reading of the encoder.

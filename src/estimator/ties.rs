@@ -4,7 +4,7 @@
 use super::chassis_turn::{self, ChassisTurn};
 use super::graphs::Graphs;
 use super::options::Options;
-use super::standstill::{FIRST_TIE, Standstill, TIE_EVERY, TIE_SIGMA, imu_from_base, stands};
+use super::standstill::{FIRST_TIE, Standstill, TIE_EVERY, imu_from_base, stands};
 use crate::factors::{BetweenFactor, TurnFactor};
 use crate::lie::Se3;
 
@@ -54,9 +54,9 @@ pub(super) fn tie_chassis(
         }
         return;
     }
-    let factor = BetweenFactor { measured, imu_from_sensor: Se3::identity(), sigma: TIE_SIGMA };
+    let factor = BetweenFactor { measured, imu_from_sensor: Se3::identity(), sigma: standstill.tie_sigma() };
     if graphs.add_between(from, to, factor).is_ok() {
-        standstill.tied = Some(to);
+        standstill.note_tie(to);
     }
 }
 

@@ -5,6 +5,7 @@ use std::path::Path;
 
 use super::journal::runs_of;
 use super::order::sorted;
+use super::read::PROGRESS_EVERY;
 use super::{BootRun, RecordError, Recorded, read_messages};
 use crate::state::LiveRun;
 use crate::wire::{BootId, JournalHead, Topic, decode_journal_page};
@@ -117,7 +118,7 @@ pub fn read_said<'a>(
     mut tell: impl FnMut(u64),
 ) -> Result<Said, RecordError> {
     let mut said = Said::default();
-    let mut bytes_before = 0;
+    let (mut bytes_before, mut read) = (0, 0_u64);
     for path in paths {
         let mut messages = read_messages(path)?;
         while let Some(message) = messages.next() {
@@ -125,7 +126,10 @@ pub fn read_said<'a>(
             if message.machine == machine {
                 said.messages.push(message);
             }
-            tell(bytes_before + messages.read_bytes());
+            read += 1;
+            if read.is_multiple_of(PROGRESS_EVERY) {
+                tell(bytes_before + messages.read_bytes());
+            }
         }
         bytes_before += messages.read_bytes();
         said.lost_bytes += messages.lost_bytes();

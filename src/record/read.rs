@@ -11,7 +11,7 @@ use crate::sensors::Arrival;
 use crate::wire::{BootId, JournalHead, Topic, decode_reading};
 
 /// Messages between two calls of `progress`.
-const PROGRESS_EVERY: u64 = 1_024;
+pub(super) const PROGRESS_EVERY: u64 = 1_024;
 
 /// The messages of a file in the order in which they were received. What is torn or damaged is passed over.
 pub struct Messages {

@@ -279,9 +279,10 @@ async function ending(origin) {
   });
   await watched.screenshot(options.screenshots, "site-lost");
   await checks.check("the recording is left, and is not empty", async () => {
-    const files = (await readdir(data, { recursive: true })).filter((file) => file.endsWith(".mcap"));
+    const sessions = join(data, "sessions");
+    const files = (await readdir(sessions, { recursive: true })).filter((file) => file.endsWith(".mcap"));
     if (files.length !== 1) throw new Error(`found ${files.join(", ") || "none"}`);
-    const { size } = await stat(join(data, files[0]));
+    const { size } = await stat(join(sessions, files[0]));
     if (size < 10_000) throw new Error(`${files[0]} has ${size} bytes`);
   });
 }

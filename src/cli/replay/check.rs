@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::error::Error;
 use std::io::Write as _;
 use std::path::Path;
-use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
@@ -17,8 +17,6 @@ use crate::replay::{self, Checked, Difference, How};
 
 /// Of a machine's work, reading takes about this part.
 const READING: f64 = 0.4;
-/// Steps of a machine's work on the bar.
-const STEPS: f64 = 1_000_000.0;
 
 /// What came of one machine.
 struct Result {
@@ -37,9 +35,16 @@ pub(super) fn run(
     machine_files: &BTreeMap<String, Machine>,
     compares: bool,
 ) -> std::result::Result<Outcome, Box<dyn Error>> {
-    let bar = Mutex::new(Progress::new("checking", Unit::DataSeconds));
     let begun = Instant::now();
-    let shown = Shown::new(session.machines.len());
+    let bar = Progress::new(if compares { "checking" } else { "running" }, Unit::Bytes);
+    // How much of each machine's work is done.
+    let shown = Mutex::new((bar, vec![0.0; session.machines.len()]));
+    let show = |index: usize, part: f64| {
+        let (bar, parts) = &mut *shown.lock().unwrap_or_else(PoisonError::into_inner);
+        parts[index] = part;
+        let bytes = session.bytes as f64;
+        bar.show(bytes * parts.iter().sum::<f64>(), bytes * parts.len() as f64);
+    };
     let next = AtomicUsize::new(0);
     let results = Mutex::new(BTreeMap::new());
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
@@ -49,15 +54,13 @@ pub(super) fn run(
                 loop {
                     let index = next.fetch_add(1, Ordering::Relaxed);
                     let Some(id) = session.machines.get(index) else { return };
-                    let result = machine(session, id, machine_files.get(id), |part, data_s| {
-                        shown.show(&bar, index, part, data_s);
-                    });
+                    let result = machine(session, id, machine_files.get(id), |part| show(index, part));
                     results.lock().unwrap_or_else(PoisonError::into_inner).insert(id.as_str(), result);
                 }
             });
         }
     });
-    drop(bar);
+    shown.into_inner().unwrap_or_else(PoisonError::into_inner).0.finish();
     let mut out = std::io::stdout().lock();
     let (mut differ, mut outcome, mut data_s) = (0, Outcome::Done, 0.0);
     for (id, result) in results.into_inner().unwrap_or_else(PoisonError::into_inner) {
@@ -99,13 +102,11 @@ fn machine(
     session: &Session,
     id: &str,
     file: Option<&Machine>,
-    mut tell: impl FnMut(f64, f64),
+    mut tell: impl FnMut(f64),
 ) -> std::result::Result<Result, Failure> {
     let begun = Instant::now();
     let all_bytes = session.bytes.max(1) as f64;
-    let read = record::read_boots(session.paths(), id, |bytes| {
-        tell(READING * bytes as f64 / all_bytes, 0.0);
-    })?;
+    let read = record::read_boots(session.paths(), id, |bytes| tell(READING * bytes as f64 / all_bytes))?;
     let mut result = Result { boots: Vec::new(), unchecked: Vec::new(), took_s: 0.0 };
     if read.boots.is_empty() {
         result.unchecked.push("there are no readings and no poses of it".to_owned());
@@ -115,7 +116,7 @@ fn machine(
     }
     let readings = |boot: &RecordedBoot| boot.run.arrivals.len() as f64;
     let all: f64 = read.boots.iter().map(readings).sum::<f64>().max(1.0);
-    let (mut done, mut data_s) = (0.0, 0.0);
+    let mut done = 0.0;
     for boot in &read.boots {
         let options = match (file, &boot.head) {
             (Some(file), _) => file.estimator_options(),
@@ -133,20 +134,14 @@ fn machine(
         };
         let part = readings(boot) / all;
         let checked = replay::check(boot, options, |fraction| {
-            tell(READING + (1.0 - READING) * (done + part * fraction), data_s + fraction * span_s(boot));
+            tell(READING + (1.0 - READING) * (done + part * fraction));
         });
         done += part;
-        data_s += checked.span_s;
         result.boots.push(checked);
     }
-    tell(1.0, data_s);
+    tell(1.0);
     result.took_s = begun.elapsed().as_secs_f64();
     Ok(result)
-}
-
-fn span_s(boot: &RecordedBoot) -> f64 {
-    let ends = boot.run.arrivals.first().zip(boot.run.arrivals.last());
-    ends.map_or(0.0, |(first, last)| last.arrival.seconds_since(first.arrival))
 }
 
 fn summary(result: &Result, compares: bool) -> String {
@@ -189,29 +184,4 @@ fn told(difference: &Difference) -> String {
         How::AnotherRun(why) => format!("before it the run is another: {why}"),
     };
     format!("{topic} {sequence} {at}: {how}")
-}
-
-/// The bar's state: how much of each machine's work is done.
-struct Shown {
-    done: Vec<AtomicU64>,
-    data_ms: Vec<AtomicU64>,
-}
-
-impl Shown {
-    fn new(machines: usize) -> Self {
-        let zeros = || (0..machines).map(|_| AtomicU64::new(0)).collect();
-        Self { done: zeros(), data_ms: zeros() }
-    }
-
-    fn show(&self, bar: &Mutex<Progress>, machine: usize, part: f64, data_s: f64) {
-        self.done[machine].store((STEPS * part) as u64, Ordering::Relaxed);
-        self.data_ms[machine].store((1e3 * data_s) as u64, Ordering::Relaxed);
-        let sum =
-            |counts: &[AtomicU64]| counts.iter().map(|count| count.load(Ordering::Relaxed)).sum::<u64>();
-        let fraction = sum(&self.done) as f64 / (STEPS * self.done.len() as f64);
-        let data_s = sum(&self.data_ms) as f64 / 1e3;
-        // How much there is of it shows while it is read: by the part that is done.
-        let mut bar = bar.lock().unwrap_or_else(PoisonError::into_inner);
-        bar.show(data_s, data_s / fraction.max(1e-9));
-    }
 }

@@ -21,29 +21,29 @@ pub(super) struct Site {
 /// Plays the session until its end or a signal.
 pub(super) fn run(session: &Session, site: &Site, speed: f64) -> Result<Outcome, Box<dyn Error>> {
     logging::start();
-    let mut reading = Progress::new("reading", Unit::Bytes);
+    let mut bar = Progress::new("reading", Unit::Bytes);
     let mut machines = Vec::new();
     let mut lost_bytes = 0;
-    let all_bytes = session.bytes.max(1) * session.machines.len() as u64;
+    let all_bytes = session.bytes * session.machines.len() as u64;
     for (index, id) in (0..).zip(&session.machines) {
         let said = read_said(session.paths(), id, |bytes| {
-            reading.show((index * session.bytes + bytes) as f64, all_bytes as f64);
+            bar.show((index * session.bytes + bytes) as f64, all_bytes as f64);
         })?;
         lost_bytes = said.lost_bytes;
         let site = site_of(site, id, &said)?;
         machines.push(Part { id: id.clone(), site, messages: said.messages });
     }
-    reading.finish();
-    let mut playing = Progress::new("playing", Unit::DataSeconds);
+    bar.finish();
     let begun = Instant::now();
-    let tell = |progress: player::Progress| playing.show(progress.data_s, progress.length_s);
+    let mut bar = Progress::new("playing", Unit::DataSeconds);
+    let tell = |progress: player::Progress| bar.show(progress.data_s, progress.length_s);
     let options = Options { machines, endpoint: site.endpoint.clone(), speed };
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
     let played = runtime.block_on(async {
         let shutdown = shutdown_signal()?;
         Ok::<_, Box<dyn Error>>(player::play(options, tell, shutdown).await?)
     })?;
-    playing.finish();
+    bar.finish();
     println!(
         "{}: {} messages, {:.1} s, in {:.1} s",
         session.machines.join(", "),
