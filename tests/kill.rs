@@ -318,17 +318,12 @@ fn site_killed_while_it_recovers_has_lost_nothing_and_recovers_at_the_next_start
     // As if the writer had died after its last chunk.
     std::fs::File::options().write(true).open(&torn).and_then(|file| file.set_len(whole)).expect("cut");
 
-    let beside = session.join("20260101T000000Z-0000.mcap.recovering");
     let mut interrupted = 0;
-    for _ in 0..3 {
+    for _ in 0..4 {
         let mut site = site(&folder);
-        let deadline = Instant::now() + PATIENCE;
-        while !beside.exists() && record::inspect(&torn).is_err() {
-            assert!(Instant::now() < deadline, "does not begin");
-        }
-        std::thread::sleep(dice.millis(0, 40));
+        std::thread::sleep(dice.millis(10, 250));
         site.kill();
-        interrupted += usize::from(beside.exists());
+        interrupted += usize::from(record::inspect(&torn).is_err());
     }
     println!("interrupted {interrupted} times");
     let mut site = site(&folder);
@@ -336,5 +331,4 @@ fn site_killed_while_it_recovers_has_lost_nothing_and_recovers_at_the_next_start
     site.end();
     let content = open(&torn);
     assert_eq!((content.state, content.messages), (FileState::Recovered, MESSAGES));
-    assert!(!beside.exists());
 }

@@ -127,9 +127,15 @@ impl Scanner {
         self.at
     }
 
-    /// Goes on at a byte of the file, where a record must begin.
+    /// Goes on at a byte of the file, where a record must begin. The file may have changed since it was opened:
+    /// somebody may be writing it.
     pub(super) fn seek(&mut self, at: u64) -> Result<(), RecordError> {
-        self.file.seek(SeekFrom::Start(at)).map_err(file_error(&self.path, "cannot be read"))?;
+        let read = file_error(&self.path, "cannot be read");
+        self.length = self.file.get_ref().metadata().map_err(&read)?.len();
+        if at > self.length {
+            return Err(read(std::io::ErrorKind::UnexpectedEof.into()));
+        }
+        self.file.seek(SeekFrom::Start(at)).map_err(&read)?;
         self.at = at;
         self.ended = false;
         Ok(())
@@ -198,5 +204,5 @@ impl Scanner {
 
 /// Whether messages, or what is needed to read them, are lost with such a record.
 fn may_hold_messages(opcode: u8) -> bool {
-    matches!(opcode, 0 | op::SCHEMA | op::CHANNEL | op::MESSAGE | op::CHUNK | op::ATTACHMENT | op::METADATA)
+    matches!(opcode, 0 | op::SCHEMA | op::CHANNEL | op::MESSAGE | op::CHUNK | op::ATTACHMENT)
 }

@@ -193,6 +193,26 @@ fn finished_file_cut_in_its_index_loses_nothing() {
 }
 
 #[test]
+fn recovery_that_is_cut_short_anywhere_is_done_again() {
+    let (_folder, path, torn) = killed("again", 300);
+    let recovered = recover(&path).expect("recovery");
+    assert_eq!(recovered.state, FileState::Recovered);
+    let bytes = std::fs::read(&path).expect("read");
+    // What was whole stays where it was, and everything after it is written by the recovery.
+    assert_eq!(bytes[..torn.len()], torn);
+    for length in torn.len()..=bytes.len() {
+        std::fs::write(&path, &bytes[..length]).expect("cut");
+        let again = recover(&path).unwrap_or_else(|error| panic!("cut at {length}: {error}"));
+        assert_eq!(
+            (again.state, again.messages),
+            (FileState::Recovered, recovered.messages),
+            "cut at {length}"
+        );
+        assert_eq!(Checker::default().check(&path, |_| {}).expect("proper").faults, Vec::<String>::new());
+    }
+}
+
+#[test]
 fn damaged_chunk_is_passed_over_and_zeros_at_the_end_are_cut_off() {
     let (_folder, path, mut bytes) = killed("damaged", 400);
     let mut at = MAGIC_BYTES;
