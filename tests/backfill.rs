@@ -132,8 +132,9 @@ fn whoever_is_killed_nothing_of_what_machines_recorded_is_missing_in_the_end() {
     for id in MACHINES {
         let boots = contents(&yard.on_board(id), id).boots.len();
         let count = assert_complete(&yard, id);
+        // A boot that was killed within its first second may have left nothing.
         println!("{id}: {count} messages of {boots} boots");
-        assert!(boots >= 3);
+        assert!(count > 2_000 && boots >= 1, "{count} messages of {boots} boots");
     }
 }
 

@@ -14,8 +14,9 @@ use holdfast::sensors::{Arrival, ImuSample, Reading, Sensor};
 use holdfast::simulate::{Scenario, Simulation};
 use holdfast::time::Stamp;
 use holdfast::wire::{
-    Attachment, Key, Odometry, RosMessage, Topic, WireError, alive_selector, decode_event,
-    decode_journal_page, decode_reading, decode_report, encode_reading, topic_key,
+    Attachment, Batch, Holdings, Kept, Key, Odometry, RecordRequest, RosMessage, Topic, Wanted, WireError,
+    alive_selector, decode_event, decode_journal_page, decode_reading, decode_report, encode_json,
+    encode_reading, record_key, topic_key,
 };
 use tokio::sync::mpsc;
 use zenoh::sample::{Sample, SampleKind};
@@ -218,6 +219,92 @@ async fn played_machine_is_seen_whole_by_a_third_party() {
     let stamps: Vec<Stamp> = imu.iter().map(|(_, sample)| sample.stamp).collect();
     assert_eq!(poses, stamps[stamps.len() - poses.len()..]);
     link::close(observer.session).await;
+}
+
+/// What the machine's own record answers.
+async fn ask(observer: &Observer, request: &RecordRequest) -> Vec<u8> {
+    let question = encode_json("question", request).expect("JSON");
+    let answers =
+        observer.session.get(record_key("site", "walker-1")).payload(question).await.expect("asked");
+    let answer =
+        tokio::time::timeout(PATIENCE, answers.recv_async()).await.expect("in time").expect("answered");
+    answer.result().expect("no refusal").payload().to_bytes().into_owned()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn record_on_board_gives_out_what_was_sent_as_it_was() {
+    let mut observer = Observer::open().await;
+    let (machine, _) = log(0.1);
+    let mut machine = linked(machine, &observer.endpoint);
+    let folder = std::env::temp_dir().join(format!("holdfast-on-board-asked-{}", std::process::id()));
+    machine.record = config::OnBoard { directory: folder.clone(), enabled: true, ..machine.record };
+    let source = Source::Simulation { scenario: Box::new(scenario()), index: 0 };
+    let peer = Machine::start(Options { machine, source, speed: 1.0 }).await.expect("start");
+    let boot = peer.boot();
+    tokio::time::sleep(Duration::from_secs(6)).await;
+    let holdings = Holdings::decode(&ask(&observer, &RecordRequest::Holdings).await).expect("holdings");
+    let [held] = &holdings.boots[..] else { panic!("{holdings:?}") };
+    assert_eq!((holdings.kept, held.boot, held.current), (Kept::Yes, boot, true));
+    let mut wanted: Wanted = held.topics.iter().map(|(topic, range)| (*topic, vec![*range])).collect();
+    assert!(wanted.contains_key(&Topic::Journal) && wanted.contains_key(&Topic::Event), "{wanted:?}");
+    let mut fetched = BTreeMap::new();
+    while !wanted.is_empty() {
+        let request = RecordRequest::Messages { boot, wanted: wanted.clone(), bytes: 100_000 };
+        let bytes = ask(&observer, &request).await;
+        assert!(bytes.len() < 101_000, "{}", bytes.len());
+        let batch = Batch::decode(&bytes).expect("batch");
+        for (topic, attachment, payload) in batch.messages {
+            assert_eq!(fetched.insert((topic, attachment.sequence), (attachment, payload)), None);
+        }
+        wanted.retain(|topic, ranges| {
+            ranges[0][0] = ranges[0][0].max(batch.done[topic]);
+            ranges[0][0] <= ranges[0][1]
+        });
+    }
+    peer.stop().await.expect("no panic");
+    let mut seen = BTreeMap::new();
+    while let Ok(Seen { key, attachment, payload }) = observer.samples.try_recv() {
+        let Ok(Key::Topic { topic, .. }) = Key::parse(&key) else { panic!("{key}") };
+        seen.insert((topic, attachment.sequence), (attachment, payload));
+    }
+    assert!(fetched.len() > 1_500, "{}", fetched.len());
+    for (name, message) in &fetched {
+        assert_eq!(seen.get(name), Some(message), "{name:?}");
+    }
+    link::close(observer.session).await;
+    std::fs::remove_dir_all(folder).expect("removed");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn machine_whose_disk_refuses_says_so_and_works() {
+    let mut observer = Observer::open().await;
+    let (machine, _) = log(0.1);
+    let mut machine = linked(machine, &observer.endpoint);
+    // No folder can be made in a file.
+    let file = std::env::temp_dir().join(format!("holdfast-on-board-refused-{}", std::process::id()));
+    std::fs::write(&file, "").expect("written");
+    machine.record = config::OnBoard { directory: file.clone(), enabled: true, ..machine.record };
+    let source = Source::Simulation { scenario: Box::new(scenario()), index: 0 };
+    let peer = Machine::start(Options { machine, source, speed: 1.0 }).await.expect("start");
+    let (mut poses, mut failure) = (0, None);
+    while poses < 100 || failure.is_none() {
+        let seen = observer.sample().await;
+        match Key::parse(&seen.key) {
+            Ok(Key::Topic { topic: Topic::Health, .. }) => {
+                let record = decode_report(&seen.payload).expect("report").record.expect("told");
+                assert!(!record.kept);
+                failure = failure.or(record.failure);
+            }
+            Ok(Key::Topic { topic: Topic::Pose, .. }) => poses += 1,
+            _ => {}
+        }
+    }
+    assert!(failure.expect("told").contains("cannot be created"));
+    let holdings = Holdings::decode(&ask(&observer, &RecordRequest::Holdings).await).expect("holdings");
+    assert_eq!(holdings, Holdings { kept: Kept::NotNow, boots: vec![] });
+    peer.stop().await.expect("no panic");
+    link::close(observer.session).await;
+    std::fs::remove_file(file).expect("removed");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

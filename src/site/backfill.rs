@@ -30,9 +30,7 @@ use super::inlet::{Inbound, Message};
 use super::sessions::{Command, Progress, RecordingState};
 use crate::fleet::{self, Presence};
 use crate::record::{Gap, GapCause, GapCounts, Ledger, Ranges, read_messages};
-use crate::wire::{
-    BATCH_BYTES_MAX, Batch, BootId, Holdings, RecordRequest, Topic, Wanted, encode_json, record_key,
-};
+use crate::wire::{Batch, BootId, Holdings, RecordRequest, Topic, Wanted, encode_json, record_key};
 
 /// How often machines are looked at.
 const LOOK_EVERY: Duration = Duration::from_millis(250);
@@ -44,12 +42,14 @@ const ASK_SOON: Duration = Duration::from_millis(700);
 const ASK_AGAIN_MAX: Duration = Duration::from_secs(30);
 /// Messages that a machine held so long ago have come by themselves, or never will.
 const SETTLED_AFTER: Duration = Duration::from_secs(2);
-/// An answer that takes longer is lost.
-const ANSWER_TIMEOUT: Duration = Duration::from_secs(10);
+/// An answer that takes longer is lost: dropped for want of room on the link.
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(3);
 /// A piece should take no longer: the next is smaller.
 const PIECE_TIME: Duration = Duration::from_millis(400);
-/// Size of the smallest piece, and of the first.
+/// Size of the smallest piece, and of the first; the largest is what Zenoh queues at one priority, two batches, so
+/// that it need not be dropped on a link that is busy for a moment.
 const PIECE_BYTES: (u64, u64) = (8 * 1024, 64 * 1024);
+const PIECE_BYTES_MAX: u64 = 128 * 1024;
 /// Pauses between pieces are as long as the pieces took, within these.
 const PAUSE: (Duration, Duration) = (Duration::from_millis(5), Duration::from_millis(500));
 /// The recorder writes a piece in less, or does not write.
@@ -471,7 +471,7 @@ impl Job {
         let answer = self.ask(&request).await;
         let took = begun.elapsed();
         self.piece_bytes = match (&answer, took <= PIECE_TIME) {
-            (Ok(_), true) => (self.piece_bytes * 2).min(BATCH_BYTES_MAX),
+            (Ok(_), true) => (self.piece_bytes * 2).min(PIECE_BYTES_MAX),
             _ => (self.piece_bytes / 2).max(PIECE_BYTES.0),
         };
         let mut batch = Batch::decode(&answer?).map_err(|error| error.to_string())?;
