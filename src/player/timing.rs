@@ -98,7 +98,7 @@ mod tests {
                 (12, 1, 0, false),
                 (20, 0, 2, true),
                 (22, 1, 1, false),
-                (101, 0, 3, false)
+                (101, 0, 0, false)
             ]
         );
         assert!(in_turn(vec![vec![], vec![]]).is_empty());
