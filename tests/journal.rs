@@ -4,74 +4,31 @@
 #![allow(clippy::disallowed_methods, reason = "processes take real time")]
 
 use std::collections::BTreeMap;
-use std::io::{BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
-use std::time::{Duration, Instant};
+use std::process::Stdio;
+use std::time::Duration;
 
 use holdfast::record::{FileState, inspect, read_live_runs, read_messages};
 use holdfast::replay::again;
 use holdfast::simulate::Scenario;
 use holdfast::wire::{RosMessage as _, Topic, odom_message, pose_message};
 
-/// Nothing in here takes so long unless it is broken.
-const PATIENCE: Duration = Duration::from_secs(30);
+#[path = "support/process.rs"]
+mod process;
+
+use process::{machine, repository, site};
+
 /// How long the machine works, and how fast its time passes.
 const WORK: Duration = Duration::from_secs(8);
 const SPEED: &str = "3";
 const MACHINE: &str = "walker-1";
 
-/// A process of ours; it does not outlive the test.
-struct Process(Child);
-
-impl Process {
-    fn end(&mut self) {
-        let id = i32::try_from(self.0.id()).expect("a process id");
-        // SAFETY: a signal to a process that this test started and has not waited for.
-        assert_eq!(unsafe { libc::kill(id, libc::SIGTERM) }, 0);
-        let deadline = Instant::now() + PATIENCE;
-        while self.0.try_wait().expect("waited").is_none() {
-            assert!(Instant::now() < deadline, "does not end");
-            std::thread::sleep(Duration::from_millis(10));
-        }
-    }
-}
-
-impl Drop for Process {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
-fn repository(path: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
-}
-
-/// The site's process, and where machines reach it.
-fn site(data: &Path) -> (Process, String) {
-    let config = data.join("site.toml");
-    let text = std::fs::read_to_string(repository("config/site.toml")).expect("a site file");
-    std::fs::write(&config, text.replace("tcp/127.0.0.1:7447", "tcp/127.0.0.1:0")).expect("written");
-    let mut command = Command::new(env!("CARGO_BIN_EXE_holdfast"));
-    command.arg("site").arg("--config").arg(config).arg("--data").arg(data);
-    command.args(["--listen", "127.0.0.1:0"]).stdout(Stdio::piped()).stderr(Stdio::null());
-    let mut process = Process(command.spawn().expect("starts"));
-    let mut lines = BufReader::new(process.0.stdout.take().expect("piped")).lines();
-    let endpoint = lines
-        .find_map(|line| line.expect("text").strip_prefix("zenoh ").map(str::to_owned))
-        .expect("the site starts");
-    (process, endpoint)
-}
-
 /// Lets a machine work for a while; returns the recording of its session.
 fn session(data: &Path) -> PathBuf {
-    let (mut site, endpoint) = site(data);
-    let mut command = Command::new(env!("CARGO_BIN_EXE_holdfast"));
-    command.arg("machine").arg("--scenario").arg(repository("config/scenarios/demo.toml"));
-    command.arg("--record").arg(data.join("on-board"));
-    command.args(["--machine", MACHINE, "--speed", SPEED, "--connect", &endpoint]).stderr(Stdio::null());
-    let mut machine = Process(command.spawn().expect("starts"));
+    let holdfast = Path::new(env!("CARGO_BIN_EXE_holdfast"));
+    let mut site = site(holdfast, data, data, Stdio::null());
+    let (_, endpoint) = site.addresses();
+    let mut machine = machine(holdfast, MACHINE, &endpoint, &data.join("on-board"), SPEED);
     std::thread::sleep(WORK);
     machine.end();
     site.end();

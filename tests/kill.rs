@@ -5,46 +5,26 @@
 #![allow(clippy::disallowed_methods, reason = "tests kill processes, which take real time")]
 
 use std::collections::BTreeMap;
-use std::io::{BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::Stdio;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use holdfast::record::{self, FileState, RecordWriter, Recorded};
 use holdfast::time::{Span, Stamp};
 use holdfast::wire::Topic;
 
-/// Nothing in here takes so long unless it is broken.
-const PATIENCE: Duration = Duration::from_secs(30);
+#[path = "support/process.rs"]
+mod process;
+
+use process::{Dice, PATIENCE, Process};
+
+const HOLDFAST: &str = env!("CARGO_BIN_EXE_holdfast");
 /// Chunks reach the disk within a second; the rest is for a busy computer.
 const LOST_AT_MOST: Span = Span::from_millis(1_300);
 /// What a killed machine had handed over, but not sent.
 const UNSENT_AT_MOST: Span = Span::from_millis(500);
 /// Machines speak, and their first words are on the disk, so long after the start, on a busy computer too.
 const QUIET_AT_MOST: Duration = Duration::from_millis(2_800);
-
-/// Seeded dice, as good as killing needs (SplitMix64).
-struct Dice(u64);
-
-impl Dice {
-    fn seeded() -> Self {
-        let told = std::env::var("HOLDFAST_KILL_SEED").ok().and_then(|text| text.parse().ok());
-        let seed = told.unwrap_or_else(|| now().as_nanos().unsigned_abs());
-        println!("HOLDFAST_KILL_SEED={seed}");
-        Self(seed)
-    }
-
-    fn below(&mut self, end: u64) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mixed = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        (mixed ^ (mixed >> 31)) % end
-    }
-
-    fn millis(&mut self, from: u64, to: u64) -> Duration {
-        Duration::from_millis(from + self.below(to - from))
-    }
-}
 
 fn now() -> Stamp {
     let since_epoch = SystemTime::now().duration_since(UNIX_EPOCH).expect("after 1970");
@@ -82,61 +62,17 @@ impl Drop for Folder {
     }
 }
 
-/// A process of ours; it does not outlive the test.
-struct Process(Child);
-
-impl Process {
-    fn kill(&mut self) {
-        self.0.kill().expect("SIGKILL");
-        self.0.wait().expect("ended");
-    }
-
-    fn end(&mut self) {
-        let id = i32::try_from(self.0.id()).expect("a process id");
-        // SAFETY: a signal to a process that this test started and has not waited for.
-        assert_eq!(unsafe { libc::kill(id, libc::SIGTERM) }, 0);
-        let deadline = Instant::now() + PATIENCE;
-        while self.0.try_wait().expect("waited").is_none() {
-            assert!(Instant::now() < deadline, "does not end");
-            std::thread::sleep(Duration::from_millis(10));
-        }
-    }
-}
-
-impl Drop for Process {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
-fn repository(path: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
-}
-
 fn site(folder: &Folder) -> Process {
-    let config = folder.0.join("site.toml");
-    let text = std::fs::read_to_string(repository("config/site.toml")).expect("a site file");
-    std::fs::write(&config, text.replace("tcp/127.0.0.1:7447", "tcp/127.0.0.1:0")).expect("written");
-    let mut command = Command::new(env!("CARGO_BIN_EXE_holdfast"));
-    command.arg("site").arg("--config").arg(config).arg("--data").arg(&folder.0);
-    command.args(["--listen", "127.0.0.1:0"]).stdout(Stdio::piped()).stderr(Stdio::null());
-    Process(command.spawn().expect("starts"))
+    process::site(Path::new(HOLDFAST), &folder.0, &folder.0, Stdio::null())
 }
 
 /// Waits until the site listens; returns where.
 fn endpoint(site: &mut Process) -> String {
-    let lines = BufReader::new(site.0.stdout.take().expect("piped")).lines();
-    let mut said = lines.map(|line| line.expect("text"));
-    said.find_map(|line| line.strip_prefix("zenoh ").map(str::to_owned)).expect("the site starts")
+    site.addresses().1
 }
 
 fn machine(id: &str, endpoint: &str, folder: &Folder) -> Process {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_holdfast"));
-    command.arg("machine").arg("--scenario").arg(repository("config/scenarios/demo.toml"));
-    command.arg("--record").arg(folder.0.join("on-board"));
-    command.args(["--machine", id, "--connect", endpoint]).stderr(Stdio::null());
-    Process(command.spawn().expect("starts"))
+    process::machine(Path::new(HOLDFAST), id, endpoint, &folder.0.join("on-board"), "1")
 }
 
 /// What is in a recording: all of it is read, and must be as many messages as the file says.
@@ -212,7 +148,7 @@ impl Killed {
 
 #[test]
 fn whoever_is_killed_at_whatever_moment_the_recording_opens_and_lacks_a_second_at_most() {
-    let mut dice = Dice::seeded();
+    let mut dice = Dice::seeded("HOLDFAST_KILL_SEED");
     let folder = Folder::new("rounds");
     let mut unrecovered: Option<Killed> = None;
     for round in 0..8 {
@@ -269,7 +205,7 @@ fn whoever_is_killed_at_whatever_moment_the_recording_opens_and_lacks_a_second_a
 
 #[test]
 fn site_killed_while_it_starts_leaves_nothing_that_does_not_open() {
-    let mut dice = Dice::seeded();
+    let mut dice = Dice::seeded("HOLDFAST_KILL_SEED");
     let folder = Folder::new("start");
     for _ in 0..8 {
         let mut site = site(&folder);
@@ -289,7 +225,7 @@ fn site_killed_while_it_starts_leaves_nothing_that_does_not_open() {
 #[test]
 fn site_killed_while_it_recovers_has_lost_nothing_and_recovers_at_the_next_start() {
     const MESSAGES: u64 = 30_000;
-    let mut dice = Dice::seeded();
+    let mut dice = Dice::seeded("HOLDFAST_KILL_SEED");
     let folder = Folder::new("recovery");
     let session = folder.0.join("sessions/20260101T000000Z");
     std::fs::create_dir_all(&session).expect("created");

@@ -3,9 +3,8 @@
 #![allow(clippy::disallowed_methods, reason = "processes take real time")]
 
 use std::collections::BTreeMap;
-use std::io::{BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::Stdio;
 use std::time::{Duration, Instant};
 
 use holdfast::record::read_messages;
@@ -13,47 +12,11 @@ use holdfast::wire::Topic;
 
 #[path = "support/command.rs"]
 mod command;
+#[path = "support/process.rs"]
+mod process;
 
-use command::{empty_folder, holdfast, repository};
-
-/// Nothing in here takes so long unless it is broken.
-const PATIENCE: Duration = Duration::from_secs(30);
-
-/// The site's process; it does not outlive the test.
-struct Site(Child);
-
-impl Site {
-    fn start(data: &Path) -> (Self, String) {
-        let config = data.join("site.toml");
-        let text = std::fs::read_to_string(repository("config/site.toml")).expect("a site file");
-        std::fs::write(&config, text.replace("tcp/127.0.0.1:7447", "tcp/127.0.0.1:0")).expect("written");
-        let mut command = Command::new(env!("CARGO_BIN_EXE_holdfast"));
-        command.arg("site").arg("--config").arg(config).arg("--data").arg(data);
-        command.args(["--listen", "127.0.0.1:0"]).stdout(Stdio::piped()).stderr(Stdio::null());
-        let mut site = Self(command.spawn().expect("starts"));
-        let mut lines = BufReader::new(site.0.stdout.take().expect("piped")).lines();
-        let endpoint = lines.find_map(|line| line.expect("text").strip_prefix("zenoh ").map(str::to_owned));
-        (site, endpoint.expect("the site starts"))
-    }
-
-    fn end(&mut self) {
-        let id = i32::try_from(self.0.id()).expect("a process id");
-        // SAFETY: a signal to a process that this test started and has not waited for.
-        assert_eq!(unsafe { libc::kill(id, libc::SIGTERM) }, 0);
-        let deadline = Instant::now() + PATIENCE;
-        while self.0.try_wait().expect("waited").is_none() {
-            assert!(Instant::now() < deadline, "does not end");
-            std::thread::sleep(Duration::from_millis(10));
-        }
-    }
-}
-
-impl Drop for Site {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
+use command::{empty_folder, holdfast};
+use process::{repository, site};
 
 /// Payloads in CDR by machine, topic and number: boots are others when they are replayed, but come in order.
 type Contents = BTreeMap<(String, Topic, u64), Vec<Vec<u8>>>;
@@ -80,7 +43,8 @@ fn contents(folder: &Path) -> Contents {
 fn session_replayed_to_a_site_is_recorded_there_again() {
     for (folder, boots) in [("outage", "1 boot,"), ("restarts", "2 boots,")] {
         let data = empty_folder(&format!("replay-peers-{folder}"));
-        let (mut site, endpoint) = Site::start(&data);
+        let mut site = site(Path::new(env!("CARGO_BIN_EXE_holdfast")), &data, &data, Stdio::null());
+        let (_, endpoint) = site.addresses();
         let session = repository("tests/replay").join(folder);
         let arguments = ["replay", session.to_str().expect("text"), "--speed", "10", "--site", &endpoint];
         let begun = Instant::now();

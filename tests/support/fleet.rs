@@ -2,45 +2,22 @@
 //! machines recorded held against what the site did.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::io::{BufRead as _, BufReader, Read as _, Write as _};
+use std::io::{Read as _, Write as _};
 use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
+
+#[path = "process.rs"]
+mod process;
 
 use holdfast::record::{self, RecordError, Recorded};
 use holdfast::wire::{BootId, Topic};
+use process::repository;
+pub use process::{Dice, PATIENCE, Process};
 use serde_json::Value;
-
-/// Nothing takes so long unless it is broken.
-pub const PATIENCE: Duration = Duration::from_secs(60);
-
-/// Seeded dice, as good as breaking things needs (SplitMix64).
-pub struct Dice(u64);
-
-impl Dice {
-    /// Of a seed that is printed; the environment variable `name` repeats one.
-    pub fn seeded(name: &str) -> Self {
-        let told = std::env::var(name).ok().and_then(|text| text.parse().ok());
-        let since = SystemTime::now().duration_since(UNIX_EPOCH).expect("after 1970");
-        let seed = told.unwrap_or(since.as_nanos() as u64);
-        println!("{name}={seed}");
-        Self(seed)
-    }
-
-    pub fn below(&mut self, end: u64) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mixed = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        (mixed ^ (mixed >> 31)) % end
-    }
-
-    pub fn millis(&mut self, from: u64, to: u64) -> Duration {
-        Duration::from_millis(from + self.below(to - from))
-    }
-}
 
 /// What a link does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -144,34 +121,6 @@ fn forward(mut from: TcpStream, mut to: TcpStream, state: &Mutex<State>) {
     let _ = (from.shutdown(Shutdown::Both), to.shutdown(Shutdown::Both));
 }
 
-/// A process of ours; it does not outlive the test.
-pub struct Process(Child);
-
-impl Process {
-    pub fn kill(&mut self) {
-        self.0.kill().expect("SIGKILL");
-        self.0.wait().expect("ended");
-    }
-
-    pub fn end(&mut self) {
-        let id = i32::try_from(self.0.id()).expect("a process id");
-        // SAFETY: a signal to a process that we started and have not waited for.
-        assert_eq!(unsafe { libc::kill(id, libc::SIGTERM) }, 0);
-        let deadline = Instant::now() + PATIENCE;
-        while self.0.try_wait().expect("waited").is_none() {
-            assert!(Instant::now() < deadline, "does not end");
-            std::thread::sleep(Duration::from_millis(10));
-        }
-    }
-}
-
-impl Drop for Process {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
 /// Where everything of a test is: `site/` the site's data, `on-board/` the machines' records.
 pub struct Yard {
     pub folder: PathBuf,
@@ -204,22 +153,11 @@ impl Yard {
 
     /// Starts the site; the machines' link leads there. Returns where its API is, too.
     pub fn site(&self) -> (Process, String) {
-        let config = self.folder.join("site.toml");
-        let text = std::fs::read_to_string(repository("config/site.toml")).expect("a site file");
-        std::fs::write(&config, text.replace("tcp/127.0.0.1:7447", "tcp/127.0.0.1:0")).expect("written");
-        let mut command = Command::new(&self.holdfast);
-        command.arg("site").arg("--config").arg(config).arg("--data").arg(self.folder.join("site"));
-        command.env("RUST_LOG", "info,holdfast=debug");
-        command.args(["--listen", "127.0.0.1:0"]).stdout(Stdio::piped()).stderr(self.log("site"));
-        let mut process = Process(command.spawn().expect("starts"));
-        let mut lines = BufReader::new(process.0.stdout.take().expect("piped")).lines();
-        let mut said = |prefix: &str| {
-            let mut said = lines.by_ref().map(|line| line.expect("text"));
-            said.find_map(|line| line.strip_prefix(prefix).map(str::to_owned)).expect("the site starts")
-        };
-        let dashboard = said("dashboard ");
-        self.proxy.lead_to(&said("zenoh "));
-        (process, dashboard.trim_start_matches("http://").trim_end_matches('/').to_owned())
+        let mut process =
+            process::site(&self.holdfast, &self.folder, &self.folder.join("site"), self.log("site"));
+        let (dashboard, endpoint) = process.addresses();
+        self.proxy.lead_to(&endpoint);
+        (process, dashboard)
     }
 
     pub fn machine(&self, id: &str) -> Process {
@@ -238,8 +176,7 @@ impl Yard {
         command.arg("machine").arg("--scenario").arg(scenario).args(["--machine", id]);
         command.arg("--record").arg(self.folder.join("on-board"));
         command.args(["--connect", &self.proxy.endpoint(), "--speed", &self.speed.to_string()]);
-        command.stdout(Stdio::null()).stderr(self.log(id));
-        Process(command.spawn().expect("starts"))
+        Process::start(command.stdout(Stdio::null()).stderr(self.log(id)))
     }
 
     /// The files of the site's sessions, oldest first.
@@ -264,10 +201,6 @@ impl Yard {
 fn mcap_files(folder: &Path) -> Vec<PathBuf> {
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
     entries.filter(|path| path.extension().is_some_and(|extension| extension == "mcap")).collect()
-}
-
-fn repository(path: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
 }
 
 /// What the API says; `None` while it does not answer.
