@@ -10,8 +10,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-use holdfast::estimator::{Estimator, Options, split};
-use holdfast::live::Origin;
+use holdfast::estimator::{Correction, Estimator, Options, Updater, split};
+use holdfast::live::{self, Origin, PredictorOutlet, Taken, UpdaterOutlet};
 use holdfast::replay::{NotThatRun, again};
 use holdfast::sensors::{Arrival, Sensor};
 use holdfast::simulate::{Scenario, Simulation};
@@ -199,4 +199,38 @@ fn takeovers_of_another_run_are_refused() {
     assert_eq!(refused(&|run| _ = run.takeovers.remove(20)), NotThatRun::NoSolution(next));
     let length = run.arrivals.len() as u64 / 2;
     assert_eq!(refused(&|run| run.arrivals.truncate(length as usize)), NotThatRun::Ends(length));
+}
+
+/// Panics at a reading.
+struct Panicking;
+
+impl PredictorOutlet for Panicking {
+    fn taken(&mut self, taken: Taken<'_>) {
+        assert!(taken.number < 1_000, "as this test wants");
+    }
+
+    fn taken_over(&mut self, _: Takeover, _: Correction) {}
+}
+
+struct Deaf;
+
+impl UpdaterOutlet for Deaf {
+    fn worked_off(&mut self, _: &Arrival, _: Option<Duration>, _: &mut Updater) {}
+
+    fn ended(self, _: Updater) {}
+}
+
+#[test]
+fn panic_of_the_predictor_ends_both_threads_and_is_told() {
+    let (arrivals, options) = log(6.0);
+    let (threads, inlet) =
+        live::start(split(options), Origin::Log, run::PERIOD, Panicking, Deaf).expect("threads");
+    let (told, joined) = std::sync::mpsc::channel();
+    std::thread::spawn(move || {
+        let taken = arrivals.iter().take_while(|arrival| inlet.hand_over(**arrival)).count();
+        drop(inlet);
+        let _ = told.send((taken, threads.join()));
+    });
+    let (_, whole) = joined.recv_timeout(Duration::from_secs(30)).expect("both threads end");
+    assert!(!whole, "a panic is told");
 }

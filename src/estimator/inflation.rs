@@ -19,8 +19,8 @@ const BEFORE: f64 = 200.0;
 const CUT: f64 = 9.0;
 /// The factor itself, at most.
 const FACTOR_MAX: f64 = 5.0;
-/// A mean square up to this is chance.
-const CHANCE: f64 = 1.1;
+/// So many standard deviations of the mean square are chance.
+const CHANCE: f64 = 2.0;
 
 /// Means over east and north together, and up.
 #[derive(Clone, Copy, Debug)]
@@ -45,7 +45,9 @@ impl Default for Inflation {
 impl Mean {
     fn square(&self) -> f64 {
         let square = self.sum / self.weight;
-        if square <= CHANCE { 1.0 } else { square.min(FACTOR_MAX * FACTOR_MAX) }
+        // The mean of w squares of unit variance has the standard deviation √(2/w).
+        let chance = 1.0 + CHANCE * (2.0 / self.weight).sqrt();
+        if square <= chance { 1.0 } else { square.min(FACTOR_MAX * FACTOR_MAX) }
     }
 
     fn note(&mut self, innovation: f64, expected_variance: f64, sigma: f64) {
@@ -94,14 +96,19 @@ mod tests {
     /// Factors after so many seconds of fixes at 20 Hz whose errors are `scale` times the reported 5 mm, with every
     /// so manieth off by 7 sigmas; the estimate itself is good to 2 mm.
     fn factors_after(seconds: i64, scale: f64, outlier_every: i64) -> Vec3 {
-        let mut generator = ChaCha8Rng::seed_from_u64(SEED);
+        factors_of(SEED, 20, seconds, scale, outlier_every)
+    }
+
+    /// The same for another seed and rate (Hz).
+    fn factors_of(seed: u64, rate: i64, seconds: i64, scale: f64, outlier_every: i64) -> Vec3 {
+        let mut generator = ChaCha8Rng::seed_from_u64(seed);
         let mut inflation = Inflation::default();
-        for index in 0..20 * seconds {
+        for index in 0..rate * seconds {
             let mut draw = || -> f64 { StandardNormal.sample(&mut generator) };
             let noise = Vec3::new(draw(), draw(), draw()) * (0.005 * scale);
             let own = Vec3::new(draw(), draw(), draw()) * 0.002;
             let off = if index % outlier_every == 0 { 0.035 * scale } else { 0.0 };
-            let stamp = Stamp::from_nanos(index * 50_000_000);
+            let stamp = Stamp::from_nanos(index * 1_000_000_000 / rate);
             let innovation = noise + own + Vec3::repeat(off);
             inflation.note(stamp, &innovation, &Vec3::repeat(4.0e-6), &Vec3::repeat(0.005));
         }
@@ -111,6 +118,19 @@ mod tests {
     #[test]
     fn honest_sigmas_stay_as_they_are() {
         assert_eq!(factors_after(300, 1.0, i64::MAX), Vec3::repeat(1.0));
+    }
+
+    #[test]
+    fn honest_sigmas_stay_at_low_rates_too() {
+        for rate in [1, 5, 20] {
+            let factors = (0..40).flat_map(|seed| {
+                let factors = factors_of(seed, rate, 300, 1.0, i64::MAX);
+                [factors.x, factors.z]
+            });
+            let inflated = factors.filter(|factor| *factor > 1.0).count();
+            // Two standard deviations: a few of 80.
+            assert!(inflated <= 6, "{inflated} of 80 at {rate} Hz");
+        }
     }
 
     #[test]

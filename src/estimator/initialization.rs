@@ -268,8 +268,8 @@ impl Initializer {
     fn resume(&self, chassis: &Chassis) -> Option<Start> {
         let known = self.known.as_ref()?;
         let bridged = bridge_by_lidar(known, &self.samples, &self.lidar, self.usable_left(), &self.options);
-        // Bridged against usable fixes: either is wrong, and the fixes alone must do.
-        let contradicted = self.usable_left().next().is_some();
+        // Bridged against fixes that were trusted: either is wrong, and the fixes alone must do.
+        let contradicted = known.fixes_trusted && self.usable_left().next().is_some();
         let resumed = bridged.filter(|bridged| bridged.fixes_agree || !contradicted).or_else(|| {
             let left: Vec<GnssFix> = self.usable_left().copied().collect();
             let right: Vec<GnssFix> = self.right.iter().filter(|fix| self.is_usable(fix)).copied().collect();
@@ -451,6 +451,8 @@ impl Initializer {
             (None, Some(known)) => known.gyro_bias_sigma(stamp, &self.options),
             (None, None) => self.options.initialization.gyro_bias_sigma,
         };
+        let base_gyro_bias = self.known.as_ref().map_or(0.0, |known| known.state.base_gyro_bias);
+        let state = NavState { base_gyro_bias, ..state };
         let tilt_sigma = if self.level.is_some() { 0.03 } else { 0.1 };
         let rotation_sigma = Vec3::new(tilt_sigma, tilt_sigma, heading_prior);
         let information = self.information(&state, &rotation_sigma, 0.3, 0.5, gyro_bias_sigma);

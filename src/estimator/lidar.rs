@@ -12,8 +12,8 @@
 //! small, the heading is the lidar's, and every standstill fights the walk. [`InOutage::PseudoGlobal`] is that form.
 //! By default t_j moves along with the newest pose that was used. While its node is in the window, (1) is then the
 //! relative factor, which is exact for a walk. When the lidar was blind for longer than the window, the node is
-//! gone, and (1) is what brings the position back: a pose factor with the covariance that the estimate had at t_j
-//! and the walk since.
+//! gone, and (1) is what brings the position back: a pose factor after which the estimate is as sure as it was at t_j,
+//! less the walk since.
 
 use super::graphs::Graphs;
 use super::options::{InOutage, Options};
@@ -38,6 +38,8 @@ const REFUSALS_MAX: u32 = 2;
 const RETURN_LIMIT: f64 = 30.0;
 /// Poses further apart than this are not tied as one increment: some were lost in between.
 const GAP_MAX: Span = Span::from_millis(1_100);
+/// Sigma of what a factor does not speak of, rad or m.
+const SAYS_NOTHING: f64 = 1.0e3;
 /// Roll and pitch of a pseudo-global pose are weighted down to this, rad: gravity knows them better.
 const TILT_SIGMA: f64 = 0.05;
 
@@ -180,17 +182,15 @@ impl LidarTrack {
         let far = anchor.world_from_lidar.inverse() * pseudo_global(anchor, pose);
         // The heading at t_j, off by one sigma, swings what lies ahead.
         let swing = anchor.variance[0] * far.translation().norm_squared();
-        let variance: [f64; 4] =
-            std::array::from_fn(|axis| anchor.variance[axis] + if axis == 0 { turn } else { shift + swing });
+        let walked: [f64; 4] = std::array::from_fn(|axis| if axis == 0 { turn } else { shift + swing });
         let smoother = graphs.active_mut();
         let Some((state, covariance)) = smoother.predict(pose.stamp) else { return Ok(Taken::First) };
-        let [heading, x, y, z] = variance;
-        let sigma = Vec6::new(TILT_SIGMA.powi(2), TILT_SIGMA.powi(2), heading, x, y, z).map(f64::sqrt);
-        let factor = pose_factor(options, anchor, pose, sigma);
-        let misfit = factor.residual(&state).component_mul(&factor.sigma);
-        let predicted = self::variance(&state, &covariance);
-        let squared: f64 =
-            (0..4).map(|axis| misfit[2 + axis].powi(2) / (variance[axis] + predicted[axis])).sum();
+        let predicted = variance(&state, &covariance);
+        let unit = pose_factor(options, anchor, pose, Vec6::repeat(1.0));
+        let misfit = unit.residual(&state);
+        // The anchor's own error is in the prediction, too: only what came since can differ.
+        let apart = |axis: usize| (predicted[axis] - anchor.variance[axis]).max(0.0) + walked[axis];
+        let squared: f64 = (0..4).map(|axis| misfit[2 + axis].powi(2) / apart(axis)).sum();
         if squared > RETURN_LIMIT {
             let off = misfit.fixed_rows::<3>(row::POSITION).norm();
             return Ok(Taken::Refused(format!(
@@ -198,8 +198,18 @@ impl LidarTrack {
                 misfit[2].to_degrees().abs()
             )));
         }
+        let sigma = |axis: usize| returned_sigma(predicted[axis], anchor.variance[axis] + walked[axis]);
+        let [heading, x, y, z] = [sigma(0), sigma(1), sigma(2), sigma(3)];
+        let sigma = Vec6::new(TILT_SIGMA, TILT_SIGMA, heading, x, y, z);
         add_pose(smoother, options, anchor, pose, sigma)
     }
+}
+
+/// One sigma of a factor that brings a predicted variance P down to R, that of the anchor and the walk since, and no
+/// lower: for the anchor's error is in both, the factor must not count it once more. 1/P + 1/σ² = 1/R.
+fn returned_sigma(predicted: f64, reached: f64) -> f64 {
+    let gained = 1.0 / reached - 1.0 / predicted;
+    if gained > 0.0 { gained.sqrt().recip() } else { SAYS_NOTHING }
 }
 
 fn pseudo_global(anchor: &Anchor, pose: &LidarPose) -> Pose<World, Lidar> {
@@ -239,11 +249,8 @@ fn add_pose(
 
 /// Variance of heading (rad²) and position (m²).
 fn variance(state: &NavState, covariance: &StateMatrix) -> [f64; 4] {
-    let up_in_imu = state.rotation.inverse() * crate::lie::Vec3::z();
-    let rotation = covariance.fixed_view::<3, 3>(row::ROTATION, row::ROTATION);
-    let heading = up_in_imu.dot(&(rotation * up_in_imu));
     std::array::from_fn(|axis| match axis.checked_sub(1) {
-        None => heading,
+        None => state.heading_variance(covariance),
         Some(axis) => covariance[(row::POSITION + axis, row::POSITION + axis)],
     })
 }
@@ -271,6 +278,22 @@ fn tie(
     increments: f64,
     limit: [f64; 2],
 ) -> Result<Taken, SmootherError> {
+    let seen = from.lidarmap_from_lidar.inverse() * to.lidarmap_from_lidar;
+    let mut lidar_at = |stamp: Stamp| -> Option<Pose<World, Lidar>> {
+        Some(smoother.state_at(stamp)?.world_from_imu() * options.imu_from_lidar)
+    };
+    // A pose that is refused must not leave nodes behind: nobody would solve them.
+    if let (Some(at_from), Some(at_to)) = (lidar_at(from.stamp), lidar_at(to.stamp)) {
+        let misfit = (at_from.inverse() * at_to).inverse() * seen;
+        let (shift_m, turn) = (misfit.translation().norm(), misfit.rotation().log().norm());
+        if turn > limit[0] || shift_m > limit[1] {
+            return Ok(Taken::Refused(format!(
+                "its increment is {shift_m:.2} m and {:.1}° from the predicted one",
+                turn.to_degrees()
+            )));
+        }
+    }
+    // Says what is wrong with a stamp that the window does not reach.
     let earlier = smoother.node_at(from.stamp)?;
     let later = smoother.node_at(to.stamp)?;
     if later <= earlier {
@@ -283,15 +306,6 @@ fn tie(
     let (Some(at_earlier), Some(at_from), Some(at_to), Some(at_later)) = states else {
         return Err(SmootherError::NotStarted);
     };
-    let seen = from.lidarmap_from_lidar.inverse() * to.lidarmap_from_lidar;
-    let misfit = (at_from.inverse() * at_to).inverse() * seen;
-    let (shift_m, turn) = (misfit.translation().norm(), misfit.rotation().log().norm());
-    if turn > limit[0] || shift_m > limit[1] {
-        return Ok(Taken::Refused(format!(
-            "its increment is {shift_m:.2} m and {:.1}° from the predicted one",
-            turn.to_degrees()
-        )));
-    }
     // From the stamps of the poses to those of the nodes, by the motion in between.
     let measured = (at_earlier.inverse() * at_from) * seen * (at_to.inverse() * at_later);
     let factor = BetweenFactor {

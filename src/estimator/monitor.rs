@@ -19,6 +19,8 @@ const EVENTS_MAX: usize = 4_096;
 pub(super) struct Monitor {
     events: Vec<Event>,
     mode: Mode,
+    /// As it was last told.
+    graph: Graph,
     refusals: [Refusals; Sensor::ALL.len()],
     outage: Option<OutageReport>,
     worst_test: Option<(Stamp, Sensor, f64)>,
@@ -41,6 +43,7 @@ impl Default for Monitor {
         Self {
             events: Vec::new(),
             mode: Mode::Initializing,
+            graph: Graph::Main,
             refusals: Default::default(),
             outage: None,
             worst_test: None,
@@ -88,10 +91,11 @@ impl Monitor {
         self.mode = mode;
     }
 
-    pub fn note_graph(&mut self, stamp: Stamp, from: Graph, to: Graph, why: &str) {
-        if from != to {
-            let what = EventKind::GraphChanged { from, to, reason: why.to_owned() };
+    pub fn note_graph(&mut self, stamp: Stamp, to: Graph, why: &str) {
+        if to != self.graph {
+            let what = EventKind::GraphChanged { from: self.graph, to, reason: why.to_owned() };
             self.push(Event::new(stamp, Severity::Info, what));
+            self.graph = to;
         }
     }
 
@@ -207,7 +211,7 @@ impl Monitor {
             heading_sigma_deg: self
                 .newest
                 .as_ref()
-                .map(|(_, state, covariance)| heading_sigma_deg(state, covariance)),
+                .map(|(_, state, covariance)| state.heading_variance(covariance).sqrt().to_degrees()),
             worst_test_ratio: worst.map_or(0.0, |(_, _, ratio)| ratio.min(1.0e6)),
             worst_test_sensor: worst.map(|(_, sensor, _)| sensor),
             sensors,
@@ -226,12 +230,6 @@ fn worst_horizontal_sigma(covariance: &StateMatrix) -> f64 {
     let mean = 0.5 * (covariance[(x, x)] + covariance[(y, y)]);
     let half = 0.5 * (covariance[(x, x)] - covariance[(y, y)]);
     (mean + libm::hypot(half, covariance[(x, y)])).max(0.0).sqrt()
-}
-
-fn heading_sigma_deg(state: &NavState, covariance: &StateMatrix) -> f64 {
-    let up_in_imu = state.rotation.inverse() * Vec3::z();
-    let rotation = covariance.fixed_view::<3, 3>(row::ROTATION, row::ROTATION);
-    up_in_imu.dot(&(rotation * up_in_imu)).max(0.0).sqrt().to_degrees()
 }
 
 #[cfg(test)]

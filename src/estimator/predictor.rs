@@ -129,10 +129,8 @@ impl Predictor {
     fn push_sample(&mut self, sample: &ImuSample) -> Option<Estimate> {
         let previous = self.samples.newest().copied();
         self.samples.push(*sample);
-        let Some(track) = &mut self.track else {
-            self.samples.forget_before(sample.stamp - SAMPLES_KEPT);
-            return None;
-        };
+        self.samples.forget_before(sample.stamp - SAMPLES_KEPT);
+        let track = self.track.as_mut()?;
         let step = Step::between(&previous?, sample);
         track.settle(&self.options);
         let estimate = self.step(&step, sample);

@@ -51,6 +51,10 @@ pub(super) struct Known {
     pub covariance: StateMatrix,
     /// The newest lidar pose and the state at its stamp, if its clock still counts.
     pub lidar: Option<(LidarPose, NavState)>,
+    /// Whether fixes were trusted.
+    pub fixes_trusted: bool,
+    /// Whether `stamp` is by the clock that still counts.
+    pub same_clock: bool,
 }
 
 /// A state to go on from.
@@ -118,7 +122,7 @@ impl Chassis<'_> {
 impl Known {
     /// What remains of it once stamps are by another clock.
     pub fn by_another_clock(self) -> Self {
-        Self { lidar: None, ..self }
+        Self { lidar: None, same_clock: false, ..self }
     }
 
     /// One sigma of the gyro bias now, rad/s: its worst axis.
@@ -164,6 +168,8 @@ impl Known {
         for (first, variance) in added {
             (first..first + 3).for_each(|axis| covariance[(axis, axis)] += variance);
         }
+        covariance[(row::BASE_GYRO_BIAS, row::BASE_GYRO_BIAS)] +=
+            self.walk(stamp, noise.base_gyroscope_random_walk);
         covariance.try_inverse()
     }
 }
@@ -231,7 +237,7 @@ pub(super) fn bridge_by_lidar<'a>(
         information,
         heading_from: "lidar odometry through the silence",
         heading_sigma: rotation_sigma,
-        fixes_agree: apart_m.is_some_and(|apart_m| apart_m <= limit_m),
+        fixes_agree: known.fixes_trusted && apart_m.is_some_and(|apart_m| apart_m <= limit_m),
     })
 }
 
@@ -280,7 +286,7 @@ fn at_fixes(
         information,
         heading_from: "",
         heading_sigma: rotation_sigma.z,
-        fixes_agree: true,
+        fixes_agree: known.fixes_trusted,
     })
 }
 
@@ -292,6 +298,9 @@ pub(super) fn bridge_by_chassis(
     chassis: &Chassis,
     options: &Options,
 ) -> Option<Resumed> {
+    if !known.same_clock {
+        return None;
+    }
     let watched = watched(samples, left)?;
     let start = watched.first()?.stamp;
     let turned = chassis.turned(known.stamp, start, known.state.base_gyro_bias, options)?;

@@ -57,7 +57,8 @@ pub(super) const FIRST_TIE: Span = Span::from_millis(300);
 /// One sigma of a standstill's first tie: rad (the encoder's steps and play), m (rocking of the chassis).
 const TIE_SIGMA: [f64; 2] = [3.0e-4, 1.0e-3];
 /// The errors of a chain of ties telescope: however long it is, only those of its ends remain. Independent factors
-/// add up, so the n-th tie has the first one's sigma over n, down to that over this: the sum over n⁻² is bounded, too.
+/// add up, so the n-th tie has the first one's sigma over n, down to that over this: what adds up from there on is a
+/// sixteenth a second, and stands for rocking that does not come back.
 const TIES_COUNTED_MAX: u32 = 4;
 
 /// How still a machine's IMU is at rest.
@@ -157,7 +158,9 @@ impl Standstill {
     }
 
     pub fn push_sample(&mut self, sample: ImuSample) {
-        if self.samples.back().is_some_and(|newest| sample.stamp - newest.stamp > WINDOW) {
+        let follows =
+            |newest: &ImuSample| sample.stamp > newest.stamp && sample.stamp - newest.stamp <= WINDOW;
+        if self.samples.back().is_some_and(|newest| !follows(newest)) {
             self.samples.clear();
             self.end();
         }
@@ -322,6 +325,24 @@ mod tests {
         let noticed = found.iter().find(|(t, standing)| *t > 8.0 && !standing).expect("noticed").0;
         // Ties end 0.4 s before: up to there it has gone less than 1 cm.
         assert!(noticed < 9.3, "{noticed}");
+    }
+
+    #[test]
+    fn clock_that_is_set_back_costs_a_second_and_no_more() {
+        let mut standstill = Standstill::new(Stillness::of(1.6e-4, 1.1e-3));
+        let mut rest = |from_s: i64, seconds: i64| {
+            for index in 0..100 * seconds {
+                standstill.push_sample(ImuSample {
+                    stamp: Stamp::from_nanos(from_s * 1_000_000_000 + index * 10_000_000),
+                    angular_rate: Vec3::zeros(),
+                    specific_force: Vec3::new(0.0, 0.0, 9.81),
+                });
+            }
+            (standstill.certain().is_some(), standstill.samples.len())
+        };
+        assert!(rest(3_600, 4).0);
+        let (stands, kept) = rest(0, 4);
+        assert!(stands && kept < 100, "{kept} samples");
     }
 
     #[test]

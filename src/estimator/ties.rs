@@ -26,7 +26,9 @@ pub(super) fn tie_chassis(
     let Some((since, until)) = standstill.certain() else { return };
     let smoother = graphs.active_mut();
     let oldest = smoother.oldest_stamp().unwrap_or(since);
-    let from = standstill.tied.filter(|tied| *tied >= oldest).or_else(|| smoother.node_after(since));
+    // Another graph may answer by now, with its nodes up to a millisecond aside.
+    let tied = standstill.tied.filter(|tied| *tied >= oldest && smoother.node_before(*tied) == Some(*tied));
+    let from = tied.or_else(|| smoother.node_after(since));
     let (Some(from), Some(to)) = (from, smoother.node_before(until)) else { return };
     let whole = to - from >= TIE_EVERY;
     if !whole && (standstill.tied.is_some() || to - from < FIRST_TIE) {
@@ -72,7 +74,8 @@ pub(super) fn tie_turn(
     };
     let smoother = graphs.active_mut();
     let oldest = smoother.oldest_stamp().unwrap_or(since);
-    let from = chassis.tied.filter(|tied| *tied >= oldest).or_else(|| smoother.node_after(since.max(oldest)));
+    let tied = chassis.tied.filter(|tied| *tied >= oldest && smoother.node_before(*tied) == Some(*tied));
+    let from = tied.or_else(|| smoother.node_after(since.max(oldest)));
     let (Some(from), Some(to)) = (from, smoother.node_before(until.min(newest_turn))) else { return };
     if to - from < TIE_EVERY {
         return;

@@ -247,7 +247,7 @@ impl Updater {
             Phase::Running(running) => running.graphs.active_mut().state_at(fix.stamp),
             Phase::Waiting(_) => None,
         };
-        let jump_m = corrected.map(|state| (state.position + state.rotation * lever_arm - expected).norm());
+        let jump_m = corrected.map(|state| (antenna(&state, &lever_arm) - expected).norm());
         self.note_turn(judgement.turn, fix.stamp, jump_m);
         solution
     }
@@ -302,7 +302,6 @@ impl Updater {
         let Phase::Running(running) = &mut self.phase else { return };
         let sigma = running.gate.usable_sigma(&fix.sigma_enu_m);
         let measured = self.options.site.to_enu(fix.position);
-        let from = running.graphs.state();
         let Some(main) = running.graphs.passive_mut() else { return };
         let tried = position_factor(main, fix.stamp, measured, lever_arm, sigma)
             .and_then(|(node, factor)| running.graphs.try_position(node, factor));
@@ -310,15 +309,14 @@ impl Updater {
             running.graphs.end_trial();
         }
         let to = running.graphs.state();
-        self.monitor.note_graph(fix.stamp, from, to, "good fixes have come back");
+        self.monitor.note_graph(fix.stamp, to, "good fixes have come back");
     }
 
     /// Moves the graphs, and tells if that changed who answers.
     fn move_graphs(&mut self, stamp: Stamp, how: impl FnOnce(&mut Graphs), why: &str) {
         let Phase::Running(running) = &mut self.phase else { return };
-        let from = running.graphs.state();
         how(&mut running.graphs);
-        self.monitor.note_graph(stamp, from, running.graphs.state(), why);
+        self.monitor.note_graph(stamp, running.graphs.state(), why);
     }
 
     /// The graphs follow what the gate said of a fix.
@@ -368,7 +366,8 @@ impl Updater {
         }
         let node = active.node_at(stamp)?;
         if let Some(main) = running.graphs.passive_mut() {
-            main.node_at(node)?;
+            // Main is made anew from fallback or from fixes, should it fail.
+            let _ = main.node_at(node);
         }
         Ok(true)
     }
@@ -420,6 +419,7 @@ impl Updater {
                 return None;
             }
         }
+        self.monitor.note_graph(stamp, running.graphs.state(), "main could not be solved");
         let (newest, state) = running.graphs.active().newest()?;
         if !state.is_finite() {
             self.begin_anew("the estimate was no longer finite", None);
@@ -471,7 +471,8 @@ impl Updater {
             graphs.lose();
             self.monitor.begin_outage(start.stamp, start.stamp, GnssState::Silent);
         }
-        self.monitor.note_graph(start.stamp, Graph::Main, graphs.state(), "no fix confirms the new start");
+        let why = if start.fixes_agree { "a new start with fixes" } else { "no fix confirms the new start" };
+        self.monitor.note_graph(start.stamp, graphs.state(), why);
         self.monitor.note_start(start.stamp, start.heading_from, start.heading_sigma);
         self.phase = Phase::Running(Box::new(Running {
             graphs,
@@ -500,7 +501,9 @@ impl Updater {
                 let (stamp, state) = smoother.newest()?;
                 let lidar = running.lidar.newest().filter(|pose| self.lidar_trail.holds(pose.stamp));
                 let lidar = lidar.and_then(|pose| Some((pose, smoother.state_at(pose.stamp)?)));
-                Some(Known { stamp, state, covariance: *smoother.newest_covariance(), lidar })
+                let covariance = *smoother.newest_covariance();
+                let fixes_trusted = running.gate.trusted();
+                Some(Known { stamp, state, covariance, lidar, fixes_trusted, same_clock: true })
             }
         }
     }

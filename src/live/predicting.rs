@@ -23,7 +23,8 @@ pub(super) struct Predicting<O> {
     origin: Origin,
     anticipation: Anticipation,
     outlet: O,
-    to_updater: SyncSender<Numbered>,
+    /// `None` only while it is dropped.
+    to_updater: Option<SyncSender<Numbered>>,
     updater_bell: Bell,
     /// Readings taken so far.
     taken: u64,
@@ -44,7 +45,7 @@ impl<O: PredictorOutlet> Predicting<O> {
             origin,
             anticipation: Anticipation::new(imu_period),
             outlet,
-            to_updater,
+            to_updater: Some(to_updater),
             updater_bell,
             taken: 0,
             latest_arrival: None,
@@ -82,10 +83,6 @@ impl<O: PredictorOutlet> Predicting<O> {
                 self.wait();
             }
         }
-        let Self { to_updater, updater_bell, .. } = self;
-        // First the sender, so that the updater sees the end when it wakes.
-        drop(to_updater);
-        updater_bell.ring();
     }
 
     /// False if the updater is gone.
@@ -96,13 +93,14 @@ impl<O: PredictorOutlet> Predicting<O> {
         let took = start.elapsed();
         let number = self.taken;
         self.taken += 1;
+        let Some(to_updater) = &self.to_updater else { return false };
         let seen = match self.origin {
-            Origin::Machine => match self.to_updater.try_send((number, arrival)) {
+            Origin::Machine => match to_updater.try_send((number, arrival)) {
                 Ok(()) => true,
                 Err(TrySendError::Full(_)) => false,
                 Err(TrySendError::Disconnected(_)) => return false,
             },
-            Origin::Log => match self.to_updater.send((number, arrival)) {
+            Origin::Log => match to_updater.send((number, arrival)) {
                 Ok(()) => true,
                 Err(_) => return false,
             },
@@ -151,5 +149,14 @@ impl<O: PredictorOutlet> Predicting<O> {
         };
         self.latest_arrival = Some(arrival);
         arrival
+    }
+}
+
+impl<O> Drop for Predicting<O> {
+    /// Also when the thread panics: the updater, asleep, would wait for ever.
+    fn drop(&mut self) {
+        // First the sender, so that the updater sees the end when it wakes.
+        self.to_updater = None;
+        self.updater_bell.ring();
     }
 }

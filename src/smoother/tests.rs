@@ -393,6 +393,44 @@ fn measurement_next_to_a_node_gets_that_node() {
     assert_ne!(smoother.node_at(Stamp::from_nanos(501_500_000)), Ok(node));
 }
 
+/// Old nodes are left unsolved until somebody asks: what is seen must not depend on who asks when, and in the end must
+/// be what the whole window says.
+#[test]
+fn what_is_left_unsolved_changes_nothing_that_is_seen() {
+    let mut draw = Draw(ChaCha8Rng::seed_from_u64(9));
+    let truth = motion(3.0);
+    let mut smoother = started(100.0, &truth, &mut draw);
+    let start = smoother.newest().expect("started").1;
+    // The limits of practice, wider by what so short a window knows less.
+    let practice = Options::new(Span::from_seconds(100.0), gravity(), NOISE);
+    smoother.options.relinearize = practice.relinearize.map(|limit| 10.0 * limit);
+    smoother.options.iterations_max = practice.iterations_max;
+    let mut left_unsolved = 0;
+    for millis in (50..2900).step_by(50) {
+        add_fix(&mut smoother, &truth, millis, &mut draw);
+        if millis % 200 == 0 {
+            // Late, over nodes that may not be solved.
+            add_increment(&mut smoother, &truth, millis - 190, millis - 120, &mut draw);
+        }
+        if millis % 500 == 0 {
+            add_turn(&mut smoother, &truth, millis - 450, millis, &mut draw);
+        }
+        smoother.update().expect("determined");
+        left_unsolved += usize::from(smoother.solved > 0);
+        let mut asked = smoother.clone();
+        asked.solve_back_to(0);
+        assert_eq!(asked.newest(), smoother.newest());
+        assert_eq!(asked.newest_covariance(), smoother.newest_covariance());
+    }
+    assert!(left_unsolved > 10, "nothing is left unsolved: this shows nothing");
+    // Linearized at the end as finely as in the other tests, it is what the dense solve says.
+    smoother.options.relinearize = [1e-9; 6];
+    smoother.options.iterations_max = 12;
+    add_fix(&mut smoother, &truth, 2_900, &mut draw);
+    smoother.update().expect("determined");
+    assert_agrees(&mut smoother, start, 1e-7);
+}
+
 /// Covariance of the prediction against sampled states pushed through the same motion.
 #[test]
 fn predicted_covariance_agrees_with_sampling() {

@@ -100,6 +100,13 @@ impl NavState {
         Pose::assume(Se3::new(self.rotation, self.position))
     }
 
+    /// Variance (rad²) of a rotation about the world's vertical, of a covariance in the state's tangent.
+    pub fn heading_variance(&self, covariance: &StateMatrix) -> f64 {
+        let up_in_imu = self.rotation.inverse() * Vec3::z();
+        let rotation = covariance.fixed_view::<3, 3>(row::ROTATION, row::ROTATION);
+        up_in_imu.dot(&(rotation * up_in_imu)).max(0.0)
+    }
+
     /// Whether every number is finite.
     pub fn is_finite(&self) -> bool {
         let parts = [self.position, self.velocity, self.gyro_bias, self.accel_bias];

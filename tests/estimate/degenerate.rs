@@ -124,7 +124,7 @@ fn lost_right_antenna_is_told_and_covered() {
 
 /// The chassis stands for most of it, and its ties hold as well as lidar does: the covariance need not widen.
 #[test]
-fn lost_lidar_is_told_and_covered() {
+fn lost_lidar_is_told_and_the_chassis_holds() {
     for machine in 0..2 {
         let run = loss_is_told_and_covered(machine, Sensor::LidarOdometry, is_gnss, position_sigma_m, 0.9);
         assert_eq!(run.modes(53.0, 70.0), [Mode::ImuOnly]);

@@ -17,6 +17,9 @@ const LOST_S: f64 = 100.0;
 struct Run {
     /// Stamp (s) and distance from the truth (m).
     errors: Vec<(f64, f64)>,
+    /// Largest sigma of a position, m, at the same stamps.
+    sigmas: Vec<f64>,
+    updates: u64,
     events: Vec<Event>,
 }
 
@@ -56,7 +59,7 @@ fn run(change: impl Fn(f64, Reading) -> Option<Reading>) -> Run {
     let log = &simulated("navigation")[0];
     let truth = log.truth();
     let mut estimator = Estimator::new(log.options());
-    let mut run = Run { errors: Vec::new(), events: Vec::new() };
+    let mut run = Run { errors: Vec::new(), sigmas: Vec::new(), updates: 0, events: Vec::new() };
     let end = Stamp::from_seconds(END_S);
     for arrival in log.arrivals().iter().take_while(|arrival| arrival.arrival < end) {
         let second = arrival.reading.stamp().as_seconds();
@@ -67,7 +70,9 @@ fn run(change: impl Fn(f64, Reading) -> Option<Reading>) -> Run {
         assert!(estimate.state.is_finite());
         let there = true_pose(&truth, estimate.stamp).expect("truth").pose.translation;
         run.errors.push((second, (estimate.state.position - there).norm()));
+        run.sigmas.push(estimate.position_sigma_m().into_iter().fold(0.0, f64::max));
     }
+    run.updates = estimator.health().updates;
     run
 }
 
@@ -188,4 +193,62 @@ fn corrected_velocity_reaches_odom_at_a_bounded_rate() {
     let largest = steps.max_by(f64::total_cmp).expect("steps");
     assert!(largest < 0.0065, "odom's speed steps by {largest} m/s");
     assert!(differences[55].abs() < 0.01, "half a second later it follows: {}", differences[55]);
+}
+
+#[test]
+fn lidar_that_is_blind_again_and_again_makes_nobody_surer_than_one_that_sees() {
+    // Late in an outage, when the estimate shares the anchor's error: counted twice, each return would take the sigma
+    // down by a third.
+    let lost = LOST_S - 50.0;
+    let blind = |second: f64| second > LOST_S && (second - LOST_S) % 6.0 < 4.0;
+    let run_with = |blinks: bool| {
+        run(|second, reading| match reading {
+            Reading::LidarOdometry(_) if blinks && blind(second) => None,
+            reading => (!(is_gnss(&reading) && second >= lost)).then_some(reading),
+        })
+    };
+    let (blinking, seeing) = (run_with(true), run_with(false));
+    let at = |run: &Run, second: f64| {
+        let index = run.errors.iter().position(|(stamp, _)| *stamp >= second).expect("an estimate");
+        (run.errors[index].1, run.sigmas[index])
+    };
+    for gap in 0..8 {
+        let second = LOST_S + 6.0 * f64::from(gap) + 5.5;
+        let ((error, sigma), (_, seen)) = (at(&blinking, second), at(&seeing, second));
+        assert!(sigma > 0.97 * seen, "after gap {gap}: {sigma} m, {seen} m with lidar all the time");
+        assert!(error < 3.5 * sigma, "after gap {gap}: {error} m off, sigma {sigma} m");
+    }
+}
+
+#[test]
+fn lidar_that_diverges_in_an_outage_does_not_stop_the_updates() {
+    let diverges = LOST_S + 3.0..LOST_S + 20.0;
+    let run_with = |wild: bool| {
+        let steps = std::cell::Cell::new(0.0);
+        run(|second, reading| match reading {
+            Reading::LidarOdometry(mut pose) if wild && diverges.contains(&second) => {
+                // Each pose two metres further aside than the one before.
+                steps.set(steps.get() + 2.0);
+                let aside = Se3::new(So3::identity(), Vec3::new(0.0, steps.get(), 0.0));
+                let moved = aside * *pose.lidarmap_from_lidar.motion();
+                pose.lidarmap_from_lidar = holdfast::frames::Pose::assume(moved);
+                Some(Reading::LidarOdometry(pose))
+            }
+            Reading::LidarOdometry(_) if diverges.contains(&second) => None,
+            reading => {
+                let lost = (LOST_S..LOST_S + 20.0).contains(&second);
+                (!(is_gnss(&reading) && lost)).then_some(reading)
+            }
+        })
+    };
+    let (wild, none) = (run_with(true), run_with(false));
+    assert!(wild.refusals(Sensor::LidarOdometry, "from the predicted one") > 60);
+    assert!(wild.updates + 20 > none.updates, "{} updates, {} without lidar", wild.updates, none.updates);
+    let end = diverges.end - 0.1;
+    let sigma_at_end = |run: &Run| {
+        let index = run.errors.iter().position(|(stamp, _)| *stamp >= end).expect("an estimate");
+        run.sigmas[index]
+    };
+    let (with, without) = (sigma_at_end(&wild), sigma_at_end(&none));
+    assert!((with / without - 1.0).abs() < 0.05, "sigma {with} m, {without} m without lidar");
 }
