@@ -97,8 +97,17 @@ impl Graphs {
 
     /// Enough good fixes have come: main takes over with those it holds.
     pub fn recover(&mut self) {
+        self.main.hold(None);
         self.fallback = None;
         self.on_trial = false;
+    }
+
+    /// Both windows reach back to this stamp, as long as fixes are lost. See [`Smoother::hold`].
+    pub fn hold(&mut self, from: Stamp) {
+        if let Some(fallback) = &mut self.fallback {
+            fallback.hold(Some(from));
+            self.main.hold(Some(from));
+        }
     }
 
     /// Ties two nodes of each graph, which has them or makes them.

@@ -11,18 +11,19 @@
 //! with noise that is independent from pose to pose, which that of a walk is not: the covariance comes out far too
 //! small, the heading is the lidar's, and every standstill fights the walk. [`InOutage::PseudoGlobal`] is that form.
 //! By default t_j moves along with the newest pose that was used. While its node is in the window, (1) is then the
-//! relative factor, which is exact for a walk. When the lidar was blind for longer than the window, the node is
-//! gone, and (1) is what brings the position back: a pose factor after which the estimate is as sure as it was at t_j,
-//! less the walk since.
+//! relative factor, which is exact for a walk; so in an outage the window is held open at t_j. Should the lidar be
+//! blind for longer than a window can be held, (1) is what brings the position back: a pose factor. Its error is that
+//! of the estimate at t_j, so it cannot make the estimate surer than that: [`super::place`].
 
 use super::graphs::Graphs;
 use super::options::{InOutage, Options};
+use super::place::{self, PlaceMatrix};
 use crate::factors::{BetweenFactor, PoseFactor};
 use crate::frames::{Lidar, LidarMap, Pose, World};
-use crate::lie::Vec6;
+use crate::lie::{Mat6, Vec6};
 use crate::sensors::LidarPose;
 use crate::smoother::{Smoother, SmootherError};
-use crate::state::{NavState, StateMatrix, row};
+use crate::state::row;
 use crate::time::{Span, Stamp};
 
 /// A lidar increment that differs so much from the prediction is wrong: rad, m.
@@ -38,8 +39,8 @@ const REFUSALS_MAX: u32 = 2;
 const RETURN_LIMIT: f64 = 30.0;
 /// Poses further apart than this are not tied as one increment: some were lost in between.
 const GAP_MAX: Span = Span::from_millis(1_100);
-/// Sigma of what a factor does not speak of, rad or m.
-const SAYS_NOTHING: f64 = 1.0e3;
+/// A pose factor that shares its error with the estimate is given so many times its variance.
+const SHARED: f64 = 2.0;
 /// Roll and pitch of a pseudo-global pose are weighted down to this, rad: gravity knows them better.
 const TILT_SIGMA: f64 = 0.05;
 
@@ -48,8 +49,8 @@ const TILT_SIGMA: f64 = 0.05;
 struct Anchor {
     pose: LidarPose,
     world_from_lidar: Pose<World, Lidar>,
-    /// Of heading and position of the estimate, rad² and m².
-    variance: [f64; 4],
+    /// Of the lidar's heading and position there.
+    covariance: PlaceMatrix,
 }
 
 /// Follows the lidar's poses.
@@ -103,6 +104,8 @@ impl LidarTrack {
         let gap = pose.stamp - last.stamp;
         let taken = if lost && options.lidar_in_outage == InOutage::PseudoGlobal {
             self.take_pseudo_global(graphs, options, &last, pose)?
+        } else if lost && gap > GAP_MAX {
+            self.return_from_gap(graphs, options, &last, pose)?
         } else if graphs.active().oldest_stamp().is_some_and(|oldest| last.stamp >= oldest) {
             let missed = self.increments(gap);
             let limit = misfit_limit(graphs.active(), options, gap.as_seconds(), self.refusals);
@@ -112,8 +115,6 @@ impl LidarTrack {
                 let _ = tie(main, options, &last, pose, missed, MISFIT_MAX);
             }
             taken
-        } else if lost {
-            self.return_from_gap(graphs, options, pose)?
         } else {
             Taken::First
         };
@@ -137,13 +138,17 @@ impl LidarTrack {
             return;
         }
         let Some(pose) = self.last else { return };
+        graphs.hold(pose.stamp);
         let smoother = graphs.active_mut();
         let Some(state) = smoother.state_at(pose.stamp) else { return };
-        self.anchor = Some(Anchor {
-            pose,
-            world_from_lidar: state.world_from_imu() * options.imu_from_lidar,
-            variance: variance(&state, smoother.newest_covariance()),
-        });
+        let world_from_lidar = state.world_from_imu() * options.imu_from_lidar;
+        let there = PoseFactor {
+            measured: *world_from_lidar.motion(),
+            imu_from_sensor: *options.imu_from_lidar.motion(),
+            whiten: Mat6::identity(),
+        };
+        let covariance = place::covariance(&there, &state, smoother.newest_covariance());
+        self.anchor = Some(Anchor { pose, world_from_lidar, covariance });
     }
 
     /// How many increments lie between two poses.
@@ -166,31 +171,32 @@ impl LidarTrack {
         let Some(anchor) = &self.anchor else { return Ok(Taken::First) };
         let [turn, shift] = options.lidar_sigma;
         let sigma = Vec6::new(TILT_SIGMA, TILT_SIGMA, turn, shift, shift, shift);
-        add_pose(graphs.active_mut(), options, anchor, pose, sigma)
+        let factor = pose_factor(options, anchor, pose, PoseFactor::whiten(&sigma));
+        add_pose(graphs.active_mut(), options, factor, pose)
     }
 
-    /// Equation (1) after the lidar was blind for longer than the window.
+    /// Equation (1) after the lidar was blind for a while.
     fn return_from_gap(
         &self,
         graphs: &mut Graphs,
         options: &Options,
+        last: &LidarPose,
         pose: &LidarPose,
     ) -> Result<Taken, SmootherError> {
         let Some(anchor) = &self.anchor else { return Ok(Taken::First) };
-        let increments = self.increments(pose.stamp - anchor.pose.stamp);
-        let [turn, shift] = options.lidar_sigma.map(|sigma| sigma * sigma * increments);
-        let far = anchor.world_from_lidar.inverse() * pseudo_global(anchor, pose);
-        // The heading at t_j, off by one sigma, swings what lies ahead.
-        let swing = anchor.variance[0] * far.translation().norm_squared();
-        let walked: [f64; 4] = std::array::from_fn(|axis| if axis == 0 { turn } else { shift + swing });
+        let increments = self.increments(pose.stamp - last.stamp);
+        let walked = options.lidar_sigma.map(|sigma| sigma * sigma * increments);
         let smoother = graphs.active_mut();
         let Some((state, covariance)) = smoother.predict(pose.stamp) else { return Ok(Taken::First) };
-        let predicted = variance(&state, &covariance);
-        let unit = pose_factor(options, anchor, pose, Vec6::repeat(1.0));
-        let misfit = unit.residual(&state);
-        // The anchor's own error is in the prediction, too: only what came since can differ.
-        let apart = |axis: usize| (predicted[axis] - anchor.variance[axis]).max(0.0) + walked[axis];
-        let squared: f64 = (0..4).map(|axis| misfit[2 + axis].powi(2) / apart(axis)).sum();
+        let mut factor = pose_factor(options, anchor, pose, Mat6::identity());
+        let moved = factor.measured.translation - anchor.world_from_lidar.translation();
+        let [carried, walk] = place::carried(&anchor.covariance, &moved, walked);
+        let predicted = place::covariance(&factor, &state, &covariance);
+        let misfit = factor.error(&state);
+        let difference = misfit.fixed_rows::<4>(2).into_owned();
+        let Some(squared) = place::squared_misfit(&difference, &predicted, &[carried, walk]) else {
+            return Err(SmootherError::NotDetermined);
+        };
         if squared > RETURN_LIMIT {
             let off = misfit.fixed_rows::<3>(row::POSITION).norm();
             return Ok(Taken::Refused(format!(
@@ -198,18 +204,22 @@ impl LidarTrack {
                 misfit[2].to_degrees().abs()
             )));
         }
-        let sigma = |axis: usize| returned_sigma(predicted[axis], anchor.variance[axis] + walked[axis]);
-        let [heading, x, y, z] = [sigma(0), sigma(1), sigma(2), sigma(3)];
-        let sigma = Vec6::new(TILT_SIGMA, TILT_SIGMA, heading, x, y, z);
-        add_pose(smoother, options, anchor, pose, sigma)
+        if smoother.oldest_stamp().is_some_and(|oldest| last.stamp >= oldest) {
+            const ANY: [f64; 2] = [f64::INFINITY; 2];
+            let taken = tie(smoother, options, last, pose, increments, ANY)?;
+            if let Some(main) = graphs.passive_mut() {
+                // Main is made anew from fallback or from fixes, should it not fit.
+                let _ = tie(main, options, last, pose, increments, ANY);
+            }
+            return Ok(taken);
+        }
+        // What is learned later of the way in between would bring the estimate below the anchor's covariance.
+        let reached = carried * SHARED + walk;
+        let brought_down = place::bring_down(&predicted, &reached).ok_or(SmootherError::NotDetermined)?;
+        factor.whiten = PoseFactor::whiten(&Vec6::repeat(TILT_SIGMA));
+        factor.whiten.fixed_view_mut::<4, 4>(2, 2).copy_from(&brought_down);
+        add_pose(smoother, options, factor, pose)
     }
-}
-
-/// One sigma of a factor that brings a predicted variance P down to R, that of the anchor and the walk since, and no
-/// lower: for the anchor's error is in both, the factor must not count it once more. 1/P + 1/σ² = 1/R.
-fn returned_sigma(predicted: f64, reached: f64) -> f64 {
-    let gained = 1.0 / reached - 1.0 / predicted;
-    if gained > 0.0 { gained.sqrt().recip() } else { SAYS_NOTHING }
 }
 
 fn pseudo_global(anchor: &Anchor, pose: &LidarPose) -> Pose<World, Lidar> {
@@ -218,23 +228,21 @@ fn pseudo_global(anchor: &Anchor, pose: &LidarPose) -> Pose<World, Lidar> {
     world_from_map * pose.lidarmap_from_lidar
 }
 
-fn pose_factor(options: &Options, anchor: &Anchor, pose: &LidarPose, sigma: Vec6) -> PoseFactor {
+fn pose_factor(options: &Options, anchor: &Anchor, pose: &LidarPose, whiten: Mat6) -> PoseFactor {
     PoseFactor {
         measured: *pseudo_global(anchor, pose).motion(),
         imu_from_sensor: *options.imu_from_lidar.motion(),
-        sigma,
+        whiten,
     }
 }
 
 fn add_pose(
     smoother: &mut Smoother,
     options: &Options,
-    anchor: &Anchor,
+    mut factor: PoseFactor,
     pose: &LidarPose,
-    sigma: Vec6,
 ) -> Result<Taken, SmootherError> {
     let node = smoother.node_at(pose.stamp)?;
-    let mut factor = pose_factor(options, anchor, pose, sigma);
     if node != pose.stamp {
         // From the stamp of the pose to that of the node, by the motion in between.
         let (Some(at_pose), Some(at_node)) = (smoother.state_at(pose.stamp), smoother.state_at(node)) else {
@@ -245,14 +253,6 @@ fn add_pose(
     }
     smoother.add_pose(node, factor)?;
     Ok(Taken::Used)
-}
-
-/// Variance of heading (rad²) and position (m²).
-fn variance(state: &NavState, covariance: &StateMatrix) -> [f64; 4] {
-    std::array::from_fn(|axis| match axis.checked_sub(1) {
-        None => state.heading_variance(covariance),
-        Some(axis) => covariance[(row::POSITION + axis, row::POSITION + axis)],
-    })
 }
 
 /// How far an increment over so long may be from the prediction, after so many refusals in a row: rad, m.

@@ -16,6 +16,7 @@ mod initialization;
 mod lidar;
 mod monitor;
 mod options;
+mod place;
 mod predictor;
 mod resumption;
 mod standstill;

@@ -61,6 +61,9 @@ impl Options {
     }
 }
 
+/// A window that is held has no more nodes than so: two minutes without measurements.
+pub const HELD_NODES: usize = 256;
+
 /// Why the window cannot take something.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum SmootherError {
@@ -110,6 +113,8 @@ pub struct Smoother {
     /// Index of the oldest node whose δ is that of the last elimination; never behind `touched`.
     solved: usize,
     updates_since_sweep: usize,
+    /// Nodes from here on stay, older than the lag or not.
+    held: Option<Stamp>,
     room: Room,
     /// The motion behind some node that was last asked for.
     recent: Option<Recent>,
@@ -139,6 +144,7 @@ impl Smoother {
             touched: 0,
             solved: 0,
             updates_since_sweep: 0,
+            held: None,
             room: Room::default(),
             recent: None,
             solution: Vec::new(),
@@ -176,10 +182,18 @@ impl Smoother {
         self.nodes.push_back(node);
         self.prior.begin(stamp, state, information);
         self.recent = None;
+        self.held = None;
         self.solved = 0;
         self.touched = 0;
         self.samples.forget_before(stamp);
         self.update().map(|_| ())
+    }
+
+    /// From now on the window reaches back to the node of `from`, older than the lag or not, as long as it has no
+    /// more than [`HELD_NODES`]; None: the lag alone counts. For a sensor that pauses: what it says afterwards is
+    /// relative to what it said last.
+    pub fn hold(&mut self, from: Option<Stamp>) {
+        self.held = from;
     }
 
     /// Whether the window has begun.
@@ -422,6 +436,7 @@ impl Clone for Smoother {
         self.touched = source.touched;
         self.solved = source.solved;
         self.updates_since_sweep = source.updates_since_sweep;
+        self.held = source.held;
         self.newest_covariance = source.newest_covariance;
         self.recent = None;
     }

@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use super::elimination::{NODE_TILES, POSE_TILES};
 use super::node::{LaterEdge, Node, PAIR_TILES};
 use super::tile::LANES;
-use super::{Smoother, SmootherError, UpdateStats};
+use super::{HELD_NODES, Smoother, SmootherError, UpdateStats};
 use crate::state::{NavState, STATE_DIM, StateVector};
 use crate::time::Stamp;
 
@@ -229,10 +229,15 @@ impl Smoother {
         }
     }
 
-    /// Drops nodes older than the lag; what they said of those that stay is the new prior.
+    /// Drops nodes older than the lag and not held; what they said of those that stay is the new prior.
     fn marginalize(&mut self) {
         let Some(newest) = self.nodes.back().map(|node| node.stamp) else { return };
-        while self.nodes.len() > 1 && newest - self.nodes[0].stamp > self.options.lag {
+        let held = self.held.and_then(|held| self.node_before(held));
+        let leaves = |oldest: Stamp, nodes: usize| {
+            newest - oldest > self.options.lag
+                && (held.is_none_or(|held| oldest < held) || nodes > HELD_NODES)
+        };
+        while self.nodes.len() > 1 && leaves(self.nodes[0].stamp, self.nodes.len()) {
             let Some(mut node) = self.nodes.pop_front() else { return };
             let nodes = &self.nodes;
             self.prior.replace(&mut node.front.message, |stamp| *linearization_at(nodes, stamp));

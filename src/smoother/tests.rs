@@ -165,7 +165,7 @@ fn add_pose(smoother: &mut Smoother, truth: &[(ImuSample, NavState)], millis: i6
     let factor = PoseFactor {
         measured: Se3::new(error.rotation * seen.rotation(), error.translation + seen.translation()),
         imu_from_sensor: *imu_from_lidar().motion(),
-        sigma: crate::lie::Vec6::new(1e-2, 1e-2, 1e-2, 0.02, 0.02, 0.02),
+        whiten: PoseFactor::whiten(&crate::lie::Vec6::new(1e-2, 1e-2, 1e-2, 0.02, 0.02, 0.02)),
     };
     smoother.add_pose(node, factor).expect("node exists");
 }

@@ -153,6 +153,29 @@ fn lidar_that_was_blind_in_an_outage_finds_its_place_in_its_map() {
     );
 }
 
+/// Longer than any window is held.
+#[test]
+fn lidar_that_was_blind_for_minutes_brings_the_position_back_no_surer_than_it_was() {
+    let (lost, blind) = (40.0, 45.0..190.0);
+    let run_with = |back: bool| {
+        run(|second, reading| match reading {
+            Reading::LidarOdometry(_) if second >= blind.start && !(back && second >= blind.end) => None,
+            reading => (!(is_gnss(&reading) && second >= lost)).then_some(reading),
+        })
+    };
+    let (returned, gone) = (run_with(true), run_with(false));
+    let at = |run: &Run, second: f64| {
+        let index = run.errors.iter().position(|(stamp, _)| *stamp >= second).expect("an estimate");
+        (run.errors[index].1, run.sigmas[index])
+    };
+    let (_, before) = at(&returned, blind.start - 0.1);
+    let (alone, _) = at(&gone, END_S - 1.0);
+    let (error, sigma) = at(&returned, END_S - 1.0);
+    assert!(error < 0.05 * alone, "{error} m off, {alone} m without the lidar's return");
+    assert!(error < 3.5 * sigma, "{error} m off, sigma {sigma} m");
+    assert!(sigma > before, "sigma {sigma} m, {before} m when the lidar fell blind");
+}
+
 #[test]
 fn corrected_velocity_reaches_odom_at_a_bounded_rate() {
     let log = &simulated("navigation")[0];
