@@ -25,6 +25,8 @@ struct Run {
     standing_drift_m: f64,
     /// The same from [`SETTLES_S`] after its last motion on.
     settled_drift_m: f64,
+    /// Of each rest of the chassis inside the outage: distance from the truth when it began and when it ended, m.
+    rests_m: Vec<[f64; 2]>,
     yardstick_m: f64,
     largest_odom_step_m: f64,
     largest_odom_turn: f64,
@@ -100,22 +102,30 @@ impl Errors {
 /// A stop is recognised and what it says taken in after so long, s.
 const SETTLES_S: f64 = 2.0;
 
-/// Error when the chassis came to rest, and when that had settled.
+/// Error when the chassis came to rest, when that had settled, and now.
 #[derive(Default)]
 struct Standing {
     since: Option<(Stamp, Vec3)>,
     settled: Option<Vec3>,
+    newest: Vec3,
 }
 
 impl Standing {
     /// How far the error has moved since the chassis stands, and since it has settled, m.
     fn drift_m(&mut self, stamp: Stamp, error: &Vec3) -> [f64; 2] {
         let (since, reference) = *self.since.get_or_insert((stamp, *error));
+        self.newest = *error;
         if stamp.seconds_since(since) < SETTLES_S {
             return [(error - reference).norm(), 0.0];
         }
         let settled = *self.settled.get_or_insert(*error);
         [(error - reference).norm(), (error - settled).norm()]
+    }
+
+    /// Distance from the truth at the beginning and at the end of a rest that settled, m.
+    fn distances_m(&self) -> Option<[f64; 2]> {
+        self.settled?;
+        Some([self.since?.1.norm(), self.newest.norm()])
     }
 }
 
@@ -180,7 +190,7 @@ fn run(scenario: &Scenario, index: usize) -> Run {
         if estimate.stamp > begin && estimate.stamp < end {
             result.outage.note(&estimate, &truth);
             if truth.base.velocity.norm() > 1e-6 {
-                standing = Standing::default();
+                result.rests_m.extend(std::mem::take(&mut standing).distances_m());
             } else if estimate.mode != Mode::Main {
                 let [drift_m, settled_m] = standing.drift_m(estimate.stamp, &error);
                 result.standing_drift_m = result.standing_drift_m.max(drift_m);
@@ -198,6 +208,7 @@ fn run(scenario: &Scenario, index: usize) -> Run {
         }
         previous = Some((estimate, truth));
     }
+    result.rests_m.extend(standing.distances_m());
     result.yardstick_m = (yardstick_squared / f64::max(yardstick_count, 1.0)).sqrt();
     result
 }
@@ -224,6 +235,19 @@ fn report(title: &str, runs: &[Run]) {
     line("yardstick: lidar, true heading and standstill, RMSE", over(&|run| 100.0 * run.yardstick_m), "cm");
     line("drift while the chassis stands in the outage", over(&|run| 100.0 * run.standing_drift_m), "cm");
     line("the same from 2 s after it stopped on", over(&|run| 100.0 * run.settled_drift_m), "cm");
+    let rests: Vec<[f64; 2]> = runs.iter().flat_map(|run| run.rests_m.iter().copied()).collect();
+    if !rests.is_empty() {
+        let rms_cm = |end: usize| {
+            let squared: f64 = rests.iter().map(|rest| rest[end].powi(2)).sum();
+            100.0 * (squared / rests.len() as f64).sqrt()
+        };
+        println!(
+            "  error as it stopped, and as it went on: RMS of {:<5} {:8.3} {:8.3} cm",
+            rests.len(),
+            rms_cm(0),
+            rms_cm(1)
+        );
+    }
     line("largest step of odom beyond the true motion", over(&|run| 1e3 * run.largest_odom_step_m), "mm");
     line("largest turn of odom beyond the true motion", over(&|run| run.largest_odom_turn.to_degrees()), "°");
     let spread = |what: &str, of: &dyn Fn(&Run) -> &Vec<f64>| {

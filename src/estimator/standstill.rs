@@ -57,9 +57,9 @@ pub(super) const FIRST_TIE: Span = Span::from_millis(300);
 /// One sigma of a standstill's first tie: rad (the encoder's steps and play), m (rocking of the chassis).
 const TIE_SIGMA: [f64; 2] = [3.0e-4, 1.0e-3];
 /// The errors of a chain of ties telescope: however long it is, only those of its ends remain. Independent factors
-/// add up, so the n-th tie has the first one's sigma over n, down to that over this: what adds up from there on is a
-/// sixteenth a second, and stands for rocking that does not come back.
-const TIES_COUNTED_MAX: u32 = 4;
+/// add up, so the n-th tie has the first one's sigma over n, down to that over this: what adds up from there on is
+/// 0.125 mm and 0.002° in a second, a millimetre and 0.02° in a minute, and stands for a chassis that settles.
+const TIES_COUNTED_MAX: u32 = 8;
 
 /// How still a machine's IMU is at rest.
 #[derive(Clone, Copy, Debug)]

@@ -116,17 +116,20 @@ fn loss_is_told_and_covered(
 #[test]
 fn lost_right_antenna_is_told_and_covered() {
     for machine in 0..2 {
-        let run = loss_is_told_and_covered(machine, Sensor::GnssRight, |_| false, heading_sigma_deg, 1.1);
+        // The chassis stands, and its ties hold most of the heading.
+        let run = loss_is_told_and_covered(machine, Sensor::GnssRight, |_| false, heading_sigma_deg, 1.05);
         assert_eq!(run.modes(10.0, END_S), [Mode::Main]);
         assert!(run.worst_m(10.0, END_S) < 0.05);
     }
 }
 
-/// The chassis stands for most of it, and its ties hold as well as lidar does: the covariance need not widen.
+/// The chassis stands for most of it, and its ties hold a millimetre, which lidar does not: the covariance need not
+/// widen. It is even less where the nodes of the lidar are not: ties wait for the first node after a second, and what
+/// grows since the last tie is most of so small a sigma.
 #[test]
 fn lost_lidar_is_told_and_the_chassis_holds() {
     for machine in 0..2 {
-        let run = loss_is_told_and_covered(machine, Sensor::LidarOdometry, is_gnss, position_sigma_m, 0.9);
+        let run = loss_is_told_and_covered(machine, Sensor::LidarOdometry, is_gnss, position_sigma_m, 0.8);
         assert_eq!(run.modes(53.0, 70.0), [Mode::ImuOnly]);
         assert_eq!(run.modes(72.0, END_S), [Mode::Main]);
     }
