@@ -233,10 +233,8 @@ impl Machine {
             let fresh_s = self.pose_age_max().as_seconds();
             PoseView { fresh_s, ..PoseView::new(&pose.value, age_s, description, self.odom_from_base, frame) }
         });
-        let health = report.map(|report| HealthView {
-            age_s: now.seconds_since(report.at).max(0.0),
-            report: report.value.health.clone(),
-        });
+        let health =
+            report.map(|report| HealthView::new(&report.value, now.seconds_since(report.at).max(0.0)));
         let silent_s = now.seconds_since(self.presence_since).max(0.0);
         let current = report.is_some_and(|report| report.boot == self.boot);
         let (mut state_word, mut severity) =
@@ -260,6 +258,7 @@ impl Machine {
             presence: self.presence,
             presence_since: UtcTime(self.presence_since),
             boot: self.boot.map_or_else(String::new, |boot| format!("{boot:016x}")),
+            software: report.map_or_else(String::new, |report| report.value.software.clone()),
             state_word,
             severity,
             pose,

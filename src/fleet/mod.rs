@@ -19,13 +19,15 @@
 
 mod link;
 mod machine;
+mod past;
 mod view;
 
 use std::collections::BTreeMap;
 
+pub use past::{PAST_POINTS_MAX, Past, SensorRate, StatePoint};
 pub use view::{
     Ellipse95, FleetView, HealthView, LinkView, MachineView, PoseView, Presence, SIGMAS_95, Severity,
-    SiteView, UtcTime, WorldView,
+    SiteView, UtcTime, WorldView, recorded_word,
 };
 
 use crate::frames::geodesy::{Geodetic, SiteFrame};
@@ -125,6 +127,12 @@ pub struct MachineReport {
     pub cabin_from_imu: Pose<Cabin, Imu>,
     /// Drift of the odom frame, once known.
     pub world_from_odom: Option<Pose<World, Odom>>,
+    /// Version of its software; empty if it does not tell.
+    pub software: String,
+    /// From its newest estimate to this report, s; `None` before the start.
+    pub estimate_age_s: Option<f64>,
+    /// From an IMU sample to its estimate, 99 % of them over the last second, µs; `None` if it does not tell.
+    pub prediction_p99_us: Option<f64>,
     /// State of the estimator.
     pub health: Health,
 }

@@ -61,6 +61,9 @@ fn report(health: Health) -> MachineReport {
         origin: Geodetic { latitude_deg: 47.48, longitude_deg: 8.5, altitude_m: 475.0 },
         cabin_from_imu: Pose::identity(),
         world_from_odom: None,
+        software: "0.1.0".to_owned(),
+        estimate_age_s: Some(0.01),
+        prediction_p99_us: None,
         health,
     }
 }

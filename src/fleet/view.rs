@@ -137,6 +137,8 @@ pub struct MachineView {
     pub presence_since: UtcTime,
     /// 16 hex digits, drawn at each start of the machine's software; empty if not known yet.
     pub boot: String,
+    /// Version of its software; empty if not known yet.
+    pub software: String,
     /// The state in a few words.
     pub state_word: String,
     /// How much it asks for attention.
@@ -204,6 +206,10 @@ pub struct Ellipse95 {
 pub struct HealthView {
     /// Since it arrived, by the site's clock, s.
     pub age_s: f64,
+    /// From the newest estimate to the report, by the machine's clock, s; `null` before the start.
+    pub estimate_age_s: Option<f64>,
+    /// From an IMU sample to its estimate, 99 % of them over the last second, µs; `null` if it does not tell.
+    pub prediction_p99_us: Option<f64>,
     /// As the machine sent it.
     pub report: Health,
 }
@@ -230,7 +236,34 @@ pub struct LinkView {
     pub clock_offset_s: Option<f64>,
 }
 
+impl HealthView {
+    /// Of a report that arrived `age_s` ago.
+    pub(super) fn new(report: &MachineReport, age_s: f64) -> Self {
+        Self {
+            age_s,
+            estimate_age_s: report.estimate_age_s,
+            prediction_p99_us: report.prediction_p99_us,
+            report: report.health.clone(),
+        }
+    }
+}
+
+/// The state in a few words as it was when this was reported: that the machine was there is sure.
+pub fn recorded_word(report: &MachineReport, pose: Option<&PoseView>) -> (String, Severity) {
+    state_word(Presence::Online, 0.0, Some(&HealthView::new(report, 0.0)), pose)
+}
+
 impl PoseView {
+    /// Of a pose as it was when it was sent.
+    pub fn recorded(
+        sample: &PoseSample,
+        report: Option<&MachineReport>,
+        odom_from_base: Option<Pose<Odom, Base>>,
+        frame: &SiteFrame,
+    ) -> Self {
+        Self::new(sample, 0.0, report, odom_from_base, frame)
+    }
+
     pub(super) fn new(
         sample: &PoseSample,
         age_s: f64,

@@ -185,7 +185,7 @@ fn motion(message: &Odometry) -> Result<Se3, WireError> {
     Ok(Se3::new(rotation, Vec3::from(message.position)))
 }
 
-fn pose_sample(message: &Odometry) -> Result<PoseSample, WireError> {
+pub(super) fn pose_sample(message: &Odometry) -> Result<PoseSample, WireError> {
     let frames = (message.header.frame_id.as_str(), message.child_frame_id.as_str());
     if frames != (World::NAME, Imu::NAME) {
         return Err(unusable(format!("frames are {frames:.80?}, must be world and imu")));
@@ -198,7 +198,7 @@ fn pose_sample(message: &Odometry) -> Result<PoseSample, WireError> {
     })
 }
 
-fn odom_from_base(message: &Odometry) -> Result<Option<Pose<Odom, Base>>, WireError> {
+pub(super) fn odom_from_base(message: &Odometry) -> Result<Option<Pose<Odom, Base>>, WireError> {
     if message.header.frame_id != frames::Odom::NAME {
         return Err(unusable(format!("frame is {:.80?}, must be odom", message.header.frame_id)));
     }
@@ -208,7 +208,7 @@ fn odom_from_base(message: &Odometry) -> Result<Option<Pose<Odom, Base>>, WireEr
     }
 }
 
-fn report(report: wire::MachineReport) -> Result<fleet::MachineReport, WireError> {
+pub(super) fn report(report: wire::MachineReport) -> Result<fleet::MachineReport, WireError> {
     let no_motion = |what: &str| WireError::Unusable {
         message: "machine report",
         reason: format!("{what} is no rigid motion"),
@@ -222,6 +222,9 @@ fn report(report: wire::MachineReport) -> Result<fleet::MachineReport, WireError
         origin: report.world.into(),
         cabin_from_imu: report.cabin_from_imu.pose().ok_or_else(|| no_motion("cabin_from_imu"))?,
         world_from_odom,
+        software: report.software,
+        estimate_age_s: report.estimate_age_s,
+        prediction_p99_us: report.prediction.map(|latency| latency.p99_us),
         health: report.health,
     })
 }

@@ -161,6 +161,8 @@ impl Site {
             };
             Backfill::start(books, outlets, frames.clone(), stopped.clone())
         });
+        let past = http::tracks::SharedPast::default();
+        let historian = http::tracks::follow(Arc::clone(&past), frames.clone(), stopped.clone());
         let shared = http::Shared {
             frames,
             counters,
@@ -169,11 +171,12 @@ impl Site {
             record_directory: config.record.enabled.then(|| config.record.directory.clone()),
             recorder: recorder.as_ref().map(Recorder::progress),
             recorder_inbox: recorder.as_ref().map(Recorder::inbox),
+            past,
             clock,
             stopped: stopped.clone(),
         };
         let server = http::serve(listener, shared, stopped);
-        let tasks = vec![tokio::spawn(aggregator), tokio::spawn(server)];
+        let tasks = vec![tokio::spawn(aggregator), tokio::spawn(historian), tokio::spawn(server)];
         Ok(Self { address, endpoints, session, inlet, recorder, backfill, stop, tasks })
     }
 

@@ -15,7 +15,7 @@ struct Page;
 /// Answers for every path that no handler has.
 pub(super) async fn serve(method: Method, uri: Uri, headers: HeaderMap) -> Response {
     let path = uri.path().trim_start_matches('/');
-    let path = if path.is_empty() { "index.html" } else { path };
+    let path = if path.is_empty() || is_view(path) { "index.html" } else { path };
     let Some(file) = Page::get(path) else {
         return Problem::not_found("page or resource", uri.path()).into_response();
     };
@@ -44,6 +44,17 @@ pub(super) async fn serve(method: Method, uri: Uri, headers: HeaderMap) -> Respo
         headers.insert(ETAG, tag);
     }
     response
+}
+
+/// Whether the page has a view at this path: then it is the page that is asked for, and the page that knows which.
+fn is_view(path: &str) -> bool {
+    let (view, rest) = path.split_once('/').unwrap_or((path, ""));
+    match view {
+        "alerts" | "account" | "sign-in" => rest.is_empty(),
+        // Names of machines, sessions and outages have no dots and no slashes.
+        "machines" | "outages" | "sessions" => !rest.contains(['/', '.']),
+        _ => false,
+    }
 }
 
 fn content_type(path: &str) -> &'static str {

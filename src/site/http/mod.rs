@@ -9,6 +9,7 @@ mod metrics;
 mod problem;
 mod ready;
 mod sessions;
+pub(super) mod tracks;
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -43,6 +44,7 @@ pub(super) struct Shared {
     pub record_directory: Option<PathBuf>,
     pub recorder: Option<watch::Receiver<Progress>>,
     pub recorder_inbox: Option<SyncSender<Command>>,
+    pub past: tracks::SharedPast,
     pub clock: SiteClock,
     pub stopped: watch::Receiver<bool>,
 }
@@ -82,6 +84,9 @@ fn router(shared: Shared) -> Router {
         .routes(routes!(sessions::session, sessions::edit))
         .routes(routes!(sessions::stop))
         .routes(routes!(download::recording))
+        .routes(routes!(tracks::track))
+        .routes(routes!(tracks::events))
+        .routes(routes!(tracks::history))
         .routes(routes!(live::live))
         .routes(routes!(ready::healthz))
         .routes(routes!(ready::readyz))

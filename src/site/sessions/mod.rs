@@ -23,6 +23,7 @@ mod retention;
 mod running;
 mod schedule;
 mod space;
+mod tracks;
 mod view;
 
 #[cfg(test)]
@@ -33,4 +34,5 @@ pub(super) use folder::{Notes, NotesChange};
 pub(super) use recorder::{Answer, Command, Recorder, Refusal};
 pub(super) use running::Progress;
 pub(super) use space::disk_free_bytes;
+pub(super) use tracks::{EVENTS_MAX, Events, POSES_MAX, STEP_LEAST, Track, Tracks, Wanted, events, tracks};
 pub(super) use view::{RecordingState, RecordingView, SessionDetail, SessionView};

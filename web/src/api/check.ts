@@ -4,8 +4,27 @@
  * Fields that the page does not know are passed over, so that a newer site serves an older page.
  */
 
+import { type Check, flag, list, nullable, number, object, oneOf, record, text, time, vector3, MessageError } from "./checking";
+import { checkAlert } from "./alerts";
 import {
+  type AlertsMessage,
+  type Budget,
+  type CurrentOutage,
+  FIX_STATES,
+  type GnssView,
   type Delta,
+  EVENT_KINDS,
+  EVENT_SEVERITIES,
+  type EventsAnswer,
+  type HistoryView,
+  type MachineEvent,
+  type MachineTrack,
+  type PoseColumns,
+  type SensorRate,
+  type SessionEvent,
+  type SilenceView,
+  type StatePoint,
+  type TrackAnswer,
   type Ellipse95,
   type FleetView,
   GNSS_STATES,
@@ -29,104 +48,18 @@ import {
   type SessionView,
   type Site,
   type Snapshot,
-  type Vector3,
   type WorldOrigin,
 } from "./types";
 
-/** What is wrong with a message, and where. */
-export class MessageError extends Error {
-  constructor(
-    readonly path: string,
-    expected: string,
-    found: unknown,
-  ) {
-    super(`${path}: expected ${expected}, found ${describe(found)}`);
-    this.name = "MessageError";
-  }
-}
-
-/** Reads a value found at `path`, or throws a {@link MessageError}. */
-type Check<T> = (value: unknown, path: string) => T;
-type Checks<T> = { [Key in keyof T]: Check<T[Key]> };
+export { MessageError };
 
 export const checkLiveMessage: Check<LiveMessage> = (value, path) => {
   const kind = record(value, path).type;
   if (kind === "snapshot") return checkSnapshot(value, path);
   if (kind === "delta") return checkDelta(value, path);
+  if (kind === "alerts") return checkAlerts(value, path);
   if (kind === "error") return checkError(value, path);
-  throw new MessageError(`${path}.type`, '"snapshot", "delta" or "error"', kind);
-};
-
-export function checkSessions(value: unknown): SessionsView {
-  return object<SessionsView>({ recording, sessions: list(session) })(value, "sessions");
-}
-
-function describe(value: unknown): string {
-  if (value === undefined) return "nothing";
-  const text = JSON.stringify(value) ?? typeof value;
-  return text.length > 60 ? `${text.slice(0, 60)}…` : text;
-}
-
-function record(value: unknown, path: string): Record<string, unknown> {
-  if (typeof value !== "object" || value === null || Array.isArray(value)) {
-    throw new MessageError(path, "an object", value);
-  }
-  return value as Record<string, unknown>;
-}
-
-const number: Check<number> = (value, path) => {
-  if (typeof value !== "number" || !Number.isFinite(value)) throw new MessageError(path, "a number", value);
-  return value;
-};
-
-const text: Check<string> = (value, path) => {
-  if (typeof value !== "string") throw new MessageError(path, "text", value);
-  return value;
-};
-
-const time: Check<string> = (value, path) => {
-  const written = text(value, path);
-  if (Number.isNaN(Date.parse(written))) throw new MessageError(path, "an RFC 3339 time", value);
-  return written;
-};
-
-/** A missing field is taken for `null`. */
-function nullable<T>(check: Check<T>): Check<T | null> {
-  return (value, path) => (value === null || value === undefined ? null : check(value, path));
-}
-
-function oneOf<T extends string>(choices: readonly T[]): Check<T> {
-  return (value, path) => {
-    const found = choices.find((choice) => choice === value);
-    if (found === undefined) throw new MessageError(path, `one of ${choices.join(", ")}`, value);
-    return found;
-  };
-}
-
-function list<T>(check: Check<T>): Check<T[]> {
-  return (value, path) => {
-    if (!Array.isArray(value)) throw new MessageError(path, "a list", value);
-    return value.map((item, index) => check(item, `${path}[${index}]`));
-  };
-}
-
-function object<T extends object>(checks: Checks<T>): Check<T> {
-  const names = Object.keys(checks) as (keyof T & string)[];
-  return (value, path) => {
-    const from = record(value, path);
-    const into = {} as T;
-    for (const name of names) into[name] = checks[name](from[name], `${path}.${name}`);
-    return into;
-  };
-}
-
-const vector3: Check<Vector3> = (value, path) => {
-  const numbers = list(number)(value, path);
-  const [x, y, z] = numbers;
-  if (numbers.length !== 3 || x === undefined || y === undefined || z === undefined) {
-    throw new MessageError(path, "three numbers", value);
-  }
-  return [x, y, z];
+  throw new MessageError(`${path}.type`, '"snapshot", "delta", "alerts" or "error"', kind);
 };
 
 const worldOrigin = object<WorldOrigin>({ latitude_deg: number, longitude_deg: number, altitude_m: number });
@@ -188,7 +121,31 @@ const health = object<Health>({
   accel_bias: vector3,
 });
 
-const healthView = object<HealthView>({ age_s: number, report: health });
+const healthView = object<HealthView>({
+  age_s: number,
+  estimate_age_s: nullable(number),
+  prediction_p99_us: nullable(number),
+  report: health,
+});
+
+const currentOutage = object<CurrentOutage>({
+  id: text,
+  cause: oneOf(FIX_STATES),
+  start: time,
+  duration_s: number,
+  travelled_m: nullable(number),
+  position_sigma_m: nullable(number),
+  budget: nullable(
+    object<Budget>({ tolerance_m: number, time_s: nullable(number), distance_m: nullable(number) }),
+  ),
+});
+
+const gnss = object<GnssView>({
+  state: oneOf(FIX_STATES),
+  since: time,
+  mode: nullable(oneOf(MODES)),
+  outage: nullable(currentOutage),
+});
 
 const link = object<LinkView>({
   pose_rate_hz: number,
@@ -207,16 +164,20 @@ export const checkMachine = object<MachineView>({
   presence: oneOf(PRESENCES),
   presence_since: time,
   boot: text,
+  software: text,
   state_word: text,
   severity: oneOf(SEVERITIES),
   pose: nullable(pose),
   health: nullable(healthView),
+  gnss,
   link,
 });
 
 export const checkFleet = object<FleetView>({ site, time, machines: list(checkMachine) });
 
 const checkSnapshot = object<Snapshot>({ type: oneOf(["snapshot"]), seq: number, fleet: checkFleet });
+
+const checkAlerts = object<AlertsMessage>({ type: oneOf(["alerts"]), seq: number, alerts: list(checkAlert) });
 
 const checkError = object<LiveError>({ type: oneOf(["error"]), detail: text });
 
@@ -228,7 +189,7 @@ const checkDelta = object<Delta>({
   dropped: number,
 });
 
-const recording = object<RecordingView>({
+const recordingView = object<RecordingView>({
   state: oneOf(RECORDING_STATES),
   why: nullable(text),
   session: nullable(text),
@@ -236,7 +197,7 @@ const recording = object<RecordingView>({
   next_session: nullable(time),
 });
 
-const session = object<SessionView>({
+export const sessionView = object<SessionView>({
   id: text,
   name: text,
   notes: text,
@@ -248,4 +209,97 @@ const session = object<SessionView>({
   messages: number,
   machines: list(text),
   files: number,
+});
+
+export const checkSessions = object<SessionsView>({
+  recording: recordingView,
+  sessions: list(sessionView),
+});
+
+const statePoint = object<StatePoint>({
+  time_s: number,
+  state_word: text,
+  severity: oneOf(SEVERITIES),
+  mode: oneOf(MODES),
+  gnss: oneOf(GNSS_STATES),
+  waits_for: nullable(text),
+  position_sigma_m: nullable(number),
+  heading_sigma_deg: nullable(number),
+  speed_mps: nullable(number),
+  worst_test_ratio: number,
+  worst_test_sensor: nullable(oneOf(SENSORS)),
+  rates: list(object<SensorRate>({ sensor: oneOf(SENSORS), rate_hz: number })),
+  gyro_bias: vector3,
+  accel_bias: vector3,
+  update_us: number,
+  estimate_age_s: nullable(number),
+  prediction_p99_us: nullable(number),
+  clock_offset_s: nullable(number),
+  pose_rate_hz: nullable(number),
+});
+
+export const checkHistory = object<HistoryView>({
+  machine: text,
+  start: nullable(time),
+  last: nullable(time),
+  states: list(statePoint),
+});
+
+const poseColumns: Check<PoseColumns> = (value, path) => {
+  const columns = object<PoseColumns>({
+    time_s: list(number),
+    position_m: list(vector3),
+    cabin_position_m: list(vector3),
+    heading_deg: list(number),
+    heading_sigma_deg: list(number),
+    chassis_heading_deg: list(nullable(number)),
+    chassis_position_m: list(nullable(vector3)),
+    speed_mps: list(number),
+    position_sigma_m: list(vector3),
+    ellipse95: list(vector3),
+  })(value, path);
+  for (const [name, column] of Object.entries(columns)) {
+    if (column.length !== columns.time_s.length) {
+      throw new MessageError(`${path}.${name}`, `${columns.time_s.length} values`, column.length);
+    }
+  }
+  return columns;
+};
+
+const machineTrack = object<MachineTrack>({
+  id: text,
+  name: text,
+  software: text,
+  clock_shift_s: number,
+  poses: poseColumns,
+  states: list(statePoint),
+  silences: list(object<SilenceView>({ from_s: number, to_s: number })),
+  poses_missing: number,
+});
+
+export const checkTrack = object<TrackAnswer>({
+  session: text,
+  start: nullable(time),
+  length_s: number,
+  step_s: number,
+  finished: flag,
+  machines: list(machineTrack),
+});
+
+/** Fields beside these three depend on the kind, and are taken as they come. */
+const machineEvent: Check<MachineEvent> = (value, path) => ({
+  ...(record(value, path) as Partial<MachineEvent>),
+  ...object<Pick<MachineEvent, "stamp_ns" | "severity" | "kind">>({
+    stamp_ns: number,
+    severity: oneOf(EVENT_SEVERITIES),
+    kind: oneOf(EVENT_KINDS),
+  })(value, path),
+});
+
+const sessionEvent = object<SessionEvent>({ time, machine: text, event: machineEvent });
+
+export const checkEvents = object<EventsAnswer>({
+  session: text,
+  events: list(sessionEvent),
+  left_out: number,
 });

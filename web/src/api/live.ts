@@ -6,11 +6,14 @@
  */
 
 import { checkLiveMessage, MessageError } from "./check";
+import type { AlertView } from "./alerts";
 import type { Delta, Snapshot } from "./types";
 
 export interface LiveHandlers {
   snapshot(message: Snapshot): void;
   delta(message: Delta): void;
+  /** All that are open. */
+  alerts(alerts: AlertView[]): void;
   /** A message that could not be read; the connection goes on. */
   unreadable(reason: string): void;
   /** The connection is gone, or could not be made; the next try follows in `pause_ms`. */
@@ -78,7 +81,7 @@ export class Live {
     const socket = this.surroundings.open();
     this.socket = socket;
     this.lastSeq = null;
-    socket.onopen = () => socket.send(JSON.stringify({ type: "subscribe", rate_hz: RATE_HZ }));
+    socket.onopen = () => socket.send(JSON.stringify({ type: "subscribe", rate_hz: RATE_HZ, alerts: true }));
     socket.onmessage = (event: { data: unknown }) => this.receive(socket, event.data);
     socket.onclose = () => {
       if (socket === this.socket) this.lose();
@@ -103,7 +106,8 @@ export class Live {
         this.lose();
       } else {
         this.lastSeq = message.seq;
-        this.handlers.delta(message);
+        if (message.type === "alerts") this.handlers.alerts(message.alerts);
+        else this.handlers.delta(message);
       }
     } catch (error) {
       if (!(error instanceof MessageError || error instanceof SyntaxError)) throw error;

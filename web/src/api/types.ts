@@ -5,6 +5,8 @@
  * holds these against the types generated from the server's own description, and does not compile if they differ.
  */
 
+import type { AlertView } from "./alerts";
+
 export const PRESENCES = ["online", "stale", "lost"] as const;
 export type Presence = (typeof PRESENCES)[number];
 
@@ -16,6 +18,19 @@ export type Mode = (typeof MODES)[number];
 
 export const GNSS_STATES = ["fixed", "degraded", "frozen", "jumping", "silent", "recovering"] as const;
 export type GnssState = (typeof GNSS_STATES)[number];
+
+/** What the site makes of a machine's fixes and its link. */
+export const FIX_STATES = [
+  "fixed",
+  "float",
+  "degraded",
+  "frozen",
+  "jumping",
+  "silent",
+  "link_lost",
+  "recovering",
+] as const;
+export type FixState = (typeof FIX_STATES)[number];
 
 export const SENSORS = [
   "imu",
@@ -120,7 +135,34 @@ export interface Health {
 
 export interface HealthView {
   age_s: number;
+  /** From the newest estimate to the report. */
+  estimate_age_s: number | null;
+  prediction_p99_us: number | null;
   report: Health;
+}
+
+/** What is left until sigma passes the site's tolerance. */
+export interface Budget {
+  tolerance_m: number;
+  time_s: number | null;
+  distance_m: number | null;
+}
+
+export interface CurrentOutage {
+  id: string;
+  cause: FixState;
+  start: string;
+  duration_s: number;
+  travelled_m: number | null;
+  position_sigma_m: number | null;
+  budget: Budget | null;
+}
+
+export interface GnssView {
+  state: FixState;
+  since: string;
+  mode: Mode | null;
+  outage: CurrentOutage | null;
 }
 
 export interface LinkView {
@@ -141,11 +183,14 @@ export interface MachineView {
   presence_since: string;
   /** Drawn at each start of the machine's program; empty if not known yet. */
   boot: string;
+  /** Version of its software; empty if not known yet. */
+  software: string;
   /** One plain word for people, chosen by the site. */
   state_word: string;
   severity: Severity;
   pose: PoseView | null;
   health: HealthView | null;
+  gnss: GnssView;
   link: LinkView;
 }
 
@@ -175,7 +220,14 @@ export interface LiveError {
   detail: string;
 }
 
-export type LiveMessage = Snapshot | Delta | LiveError;
+/** All alerts that are not both over and seen. */
+export interface AlertsMessage {
+  type: "alerts";
+  seq: number;
+  alerts: AlertView[];
+}
+
+export type LiveMessage = Snapshot | Delta | AlertsMessage | LiveError;
 
 export interface RecordingView {
   state: RecordingState;
@@ -204,4 +256,126 @@ export interface SessionView {
 export interface SessionsView {
   recording: RecordingView;
   sessions: SessionView[];
+}
+
+export interface SensorRate {
+  sensor: Sensor;
+  rate_hz: number;
+}
+
+/** What a machine said of itself at one time: live history, or out of a recording. */
+export interface StatePoint {
+  /** Since the `start` of the answer. */
+  time_s: number;
+  state_word: string;
+  severity: Severity;
+  mode: Mode;
+  gnss: GnssState;
+  waits_for: string | null;
+  position_sigma_m: number | null;
+  heading_sigma_deg: number | null;
+  speed_mps: number | null;
+  worst_test_ratio: number;
+  worst_test_sensor: Sensor | null;
+  rates: SensorRate[];
+  gyro_bias: Vector3;
+  accel_bias: Vector3;
+  update_us: number;
+  estimate_age_s: number | null;
+  prediction_p99_us: number | null;
+  clock_offset_s: number | null;
+  pose_rate_hz: number | null;
+}
+
+export interface HistoryView {
+  machine: string;
+  start: string | null;
+  last: string | null;
+  states: StatePoint[];
+}
+
+/** A list for each value, all of one length. */
+export interface PoseColumns {
+  time_s: number[];
+  position_m: Vector3[];
+  cabin_position_m: Vector3[];
+  heading_deg: number[];
+  heading_sigma_deg: number[];
+  chassis_heading_deg: (number | null)[];
+  chassis_position_m: (Vector3 | null)[];
+  speed_mps: number[];
+  position_sigma_m: Vector3[];
+  /** Longer and shorter half axis, m; bearing of the longer one, degrees. */
+  ellipse95: Vector3[];
+}
+
+export interface SilenceView {
+  from_s: number;
+  to_s: number;
+}
+
+export interface MachineTrack {
+  id: string;
+  name: string;
+  software: string;
+  clock_shift_s: number;
+  poses: PoseColumns;
+  states: StatePoint[];
+  silences: SilenceView[];
+  poses_missing: number;
+}
+
+export interface TrackAnswer {
+  session: string;
+  start: string | null;
+  length_s: number;
+  step_s: number;
+  finished: boolean;
+  machines: MachineTrack[];
+}
+
+export const EVENT_KINDS = [
+  "mode_changed",
+  "graph_changed",
+  "gnss_changed",
+  "initialized",
+  "refused",
+  "outage_began",
+  "outage_ended",
+  "restarted",
+] as const;
+export type EventKind = (typeof EVENT_KINDS)[number];
+
+export const EVENT_SEVERITIES = ["info", "warning", "error"] as const;
+export type EventSeverity = (typeof EVENT_SEVERITIES)[number];
+
+/** An event of a machine, as far as the page tells of it: which fields there are depends on the kind. */
+export interface MachineEvent {
+  stamp_ns: number;
+  severity: EventSeverity;
+  kind: EventKind;
+  from?: string;
+  to?: string;
+  reason?: string;
+  cause?: GnssState;
+  sensor?: Sensor;
+  count?: number;
+  travelled_m?: number;
+  jump_m?: number | null;
+  start_stamp_ns?: number;
+  end_stamp_ns?: number | null;
+  heading_from?: string;
+  heading_sigma_deg?: number;
+}
+
+export interface SessionEvent {
+  time: string;
+  machine: string;
+  event: MachineEvent;
+}
+
+export interface EventsAnswer {
+  session: string;
+  events: SessionEvent[];
+  left_out: number;
 }

@@ -4,12 +4,12 @@ import { useEffect, useRef } from "preact/hooks";
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
 
-import { HISTORY_SPAN_MS, type Trace } from "../store/trace";
+import { HISTORY_SPAN_MS, type Tracing } from "../store/trace";
 import { useSpeech } from "../text";
 
 const HEIGHT_PX = 150;
 
-export function HistoryPlot({ name, trace, now_ms }: { name: string; trace: Trace; now_ms: number }) {
+export function HistoryPlot({ name, trace, now_ms }: { name: string; trace: Tracing; now_ms: number }) {
   const { text, format } = useSpeech();
   const place = useRef<HTMLDivElement>(null);
   const plot = useRef<uPlot | null>(null);

@@ -4,7 +4,7 @@ import { GNSS_STATES } from "../api/types";
 import { useSpeech } from "../text";
 import type { Palette } from "./palette";
 
-export function Legend({ palette }: { palette: Palette }) {
+export function Legend({ palette, shadow }: { palette: Palette; shadow: boolean }) {
   const { text } = useSpeech();
   return (
     <details class="legend">
@@ -44,6 +44,14 @@ export function Legend({ palette }: { palette: Palette }) {
           {text.plan.ring}
         </li>
       </ul>
+      {shadow && (
+        <ul>
+          <li>
+            <i class="legend-line legend-shadow" style={{ background: palette.shadow }} />
+            {text.plan.shadowLegend}
+          </li>
+        </ul>
+      )}
       <p>{text.plan.grid}</p>
     </details>
   );

@@ -13,17 +13,24 @@ import type { Desk } from "../store/context";
 import { isStale, shownSeverity } from "../store/freshness";
 import type { State } from "../store/store";
 import type { Palette } from "./palette";
-import { axisOf, buildShapes, machinesExtent } from "./scene";
-import type { PlanView } from "./view";
+import { axisOf, buildShapes, machinesExtent, measureShapes } from "./scene";
+import type { PlanView, Shape } from "./view";
 
 const GRID_STEP_PX = 90;
 const SCALE_BAR_PX = 140;
+/** A press so near to a machine is one on it. */
+const PICK_M = 2.5;
+const PICK_PX = 14;
+/** With more machines, those that are well do not say so on the plan. */
+const WORDY_MACHINES_MAX = 12;
 /** A label stands above its machine's body, but not off it by more than this when zoomed in. */
 const LABEL_LIFT_M = 2.6;
 const LABEL_LIFT_MIN_PX = 26;
 const LABEL_LIFT_MAX_PX = 110;
 /** With a little room. */
 const LABEL_HEIGHT_PX = 30;
+/** Machines further from the edge have no label. */
+const OUTSIDE_PX = 120;
 
 export interface Label {
   id: string;
@@ -40,6 +47,14 @@ export interface GridLabel {
   along: GridLine["along"];
   value_m: number;
   offset_px: number;
+}
+
+/** What a plan shows beside the machines. */
+export interface Extras {
+  /** Corners of the line that is measured; `null` while nothing is. */
+  measure: ReadonlySignal<readonly Metres[] | null>;
+  /** Such as the way of a machine in an outage. */
+  shapes: ReadonlySignal<readonly Shape[]>;
 }
 
 /** What lies over the plan as HTML. */
@@ -68,12 +83,15 @@ export class PlanPainter {
     private readonly desk: Desk,
     private readonly view: PlanView,
     private palette: Palette,
+    private readonly extras: Extras,
   ) {
     this.stopWatching = effect(() => {
       // Reading them is what makes this run again.
       void desk.store.state.value;
       void desk.choices.selected.value;
       void desk.choices.following.value;
+      void extras.measure.value;
+      void extras.shapes.value;
       this.ask();
     });
   }
@@ -94,6 +112,25 @@ export class PlanPainter {
     this.desk.choices.following.value = false;
     this.fitNow(this.desk.store.state.value);
     this.ask();
+  }
+
+  /** Shows a part of the plan. */
+  show(extent: Extent): void {
+    this.taken();
+    this.view.fit(extent);
+  }
+
+  /** The machine whose symbol is at that place. */
+  machineAt(at: Metres): string | null {
+    const reach_m = Math.max(PICK_M, PICK_PX * this.view.metresPerPixel());
+    let found: { id: string; distance_m: number } | null = null;
+    for (const [id, { view }] of this.desk.store.state.value.machines) {
+      if (view.pose === null) continue;
+      const [east, north] = axisOf(view.pose);
+      const distance_m = Math.hypot(east - at[0], north - at[1]);
+      if (distance_m <= reach_m && distance_m < (found?.distance_m ?? Infinity)) found = { id, distance_m };
+    }
+    return found?.id ?? null;
   }
 
   zoomBy(factor: number): void {
@@ -134,11 +171,18 @@ export class PlanPainter {
     const selected = this.desk.choices.selected.value;
     const metresPerPixel = this.view.metresPerPixel();
     const stale = [...state.machines.values()].map((machine) => isStale(state, machine)).join();
-    const wanted = [state.machines, state.link.phase, selected, this.palette, metresPerPixel, stale];
+    const measure = this.extras.measure.value;
+    const extra = this.extras.shapes.value;
+    const { palette } = this;
+    const wanted = [state.machines, state.link.phase, selected, palette, metresPerPixel, stale, measure, extra];
     // Time passes more often than anything changes.
     if (!moved && wanted.every((value, index) => value === this.drawn[index])) return;
     this.drawn = wanted;
-    this.view.draw(buildShapes(state, { palette: this.palette, metresPerPixel, selected }));
+    this.view.draw([
+      ...extra,
+      ...buildShapes(state, { palette, metresPerPixel, selected }),
+      ...(measure === null ? [] : measureShapes(measure, palette, metresPerPixel)),
+    ]);
     this.layFurniture(state);
   }
 
@@ -185,17 +229,21 @@ export class PlanPainter {
   }
 
   private labels(state: State): Label[] {
-    const { max } = this.view.extent();
+    const { min, max } = this.view.extent();
     const width_px = this.view.toPixels(max)[0];
+    const height_px = this.view.toPixels(min)[1];
     const body_px = LABEL_LIFT_M / this.view.metresPerPixel();
     const lift_px = Math.min(LABEL_LIFT_MAX_PX, Math.max(LABEL_LIFT_MIN_PX, body_px));
     const placed: (Label & { half_px: number })[] = [];
     for (const [id, machine] of state.machines) {
-      const { pose, name, state_word: word } = machine.view;
+      const { pose, name, state_word } = machine.view;
       if (pose === null) continue;
       const [x, y] = this.view.toPixels(axisOf(pose));
+      if (x < -OUTSIDE_PX || y < -OUTSIDE_PX || x > width_px + OUTSIDE_PX || y > height_px + OUTSIDE_PX) continue;
       const stale = isStale(state, machine);
       const severity = shownSeverity(state, machine);
+      const crowded = state.machines.size > WORDY_MACHINES_MAX && severity === "good";
+      const word = crowded ? "" : state_word;
       // About as wide as its words: kept from being cut off at the sides.
       const half_px = 30 + 3.4 * (name.length + word.length);
       const inside_px = Math.max(Math.min(x, width_px - half_px), half_px);

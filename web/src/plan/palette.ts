@@ -15,7 +15,12 @@ export interface Palette {
   ellipse: string;
   selection: string;
   hatch: string;
-  gnss: Record<GnssState | "unknown", string>;
+  /** Lines and words of the site's plan. */
+  planInk: string;
+  planArea: string;
+  measure: string;
+  shadow: string;
+  gnss: Record<GnssState | "float" | "link_lost" | "unknown", string>;
 }
 
 export const LIGHT: Palette = {
@@ -31,6 +36,10 @@ export const LIGHT: Palette = {
   ellipse: "#0f6fb8",
   selection: "#0b4f86",
   hatch: "#23292b",
+  planInk: "#56666b",
+  planArea: "#8fa3a8",
+  measure: "#7d2fb8",
+  shadow: "#c23b22",
   gnss: {
     fixed: "#138a63",
     recovering: "#2470d8",
@@ -38,6 +47,8 @@ export const LIGHT: Palette = {
     jumping: "#b3267e",
     frozen: "#7d3fc0",
     silent: "#c23b22",
+    float: "#a87900",
+    link_lost: "#5b666a",
     unknown: "#7c8789",
   },
 };
@@ -55,6 +66,10 @@ export const DARK: Palette = {
   ellipse: "#62b2f2",
   selection: "#9fd4ff",
   hatch: "#0a0d0e",
+  planInk: "#93a3a8",
+  planArea: "#5b6b70",
+  measure: "#d59bff",
+  shadow: "#ff7a5f",
   gnss: {
     fixed: "#35c693",
     recovering: "#6ea8ff",
@@ -62,6 +77,8 @@ export const DARK: Palette = {
     jumping: "#f06bbd",
     frozen: "#b88af0",
     silent: "#ff7a5f",
+    float: "#e0c04a",
+    link_lost: "#a3afb2",
     unknown: "#8f9b9e",
   },
 };

@@ -1,83 +1,89 @@
 /** The plan of the site with its buttons, labels, scale and legend. */
 
-import { useSignal } from "@preact/signals";
+import { type ReadonlySignal, type Signal, useComputed, useSignal } from "@preact/signals";
+import type { ComponentChildren } from "preact";
 import { useEffect, useRef } from "preact/hooks";
 
 import { SeverityIcon } from "../components/icons";
-import { SiteFrame } from "../geometry/geodesy";
-import { useDesk } from "../store/context";
+import { type Metres, SiteFrame } from "../geometry/geodesy";
+import { type Coordinates, useDesk } from "../store/context";
 import { useSpeech } from "../text";
+import { createCanvasView } from "./canvas-view";
 import { Legend } from "./legend";
 import { type Furniture, PlanPainter } from "./painter";
 import { DARK, LIGHT, type Palette } from "./palette";
-import { createSvgView } from "./svg-view";
-import type { PlanEvents, PlanView } from "./view";
+import { type PlanFeature, planUnderlays, type ShadowCell, shadowUnderlays } from "./site-plan";
+import type { PlanView, Shape } from "./view";
 
-type Drawing = "waiting" | "map" | "simple";
+const NO_SHAPES: readonly Shape[] = [];
 
-export function Plan() {
-  const { store, choices } = useDesk();
+export interface PlanProps {
+  /** The site's own plan. */
+  features?: readonly PlanFeature[];
+  /** Where GNSS was missing. */
+  shadow?: readonly ShadowCell[];
+  /** Beside the machines: by the colours in use. */
+  extra?: ((palette: Palette) => readonly Shape[]) | undefined;
+  /** Buttons of the view that the plan stands in. */
+  children?: ComponentChildren;
+  /** Once the plan stands. */
+  onReady?: ((painter: PlanPainter) => void) | undefined;
+}
+
+export function Plan({ features = [], shadow = [], extra, children, onReady }: PlanProps) {
+  const { store, choices, recorded } = useDesk();
   const { text } = useSpeech();
-  const canvas = useRef<HTMLDivElement>(null);
+  const place = useRef<HTMLDivElement>(null);
   const painter = useSignal<PlanPainter | null>(null);
-  const drawing = useSignal<Drawing>("waiting");
+  const view = useSignal<PlanView | null>(null);
+  const measure = useSignal<readonly Metres[] | null>(null);
+  const over = useSignal<Metres | null>(null);
   const palette = usePalette();
-  const world = store.calm.value.site?.world ?? null;
-  const worldKey = world === null ? null : `${world.latitude_deg} ${world.longitude_deg} ${world.altitude_m}`;
+  const makeExtra = useSignal(extra);
+  makeExtra.value = extra;
+  const shapes = useComputed(() => makeExtra.value?.(palette.value) ?? NO_SHAPES);
 
-  // The plan is built once for each world origin; colours follow below.
   useEffect(() => {
-    if (world === null || canvas.current === null) return;
-    const container = canvas.current;
-    const frame = new SiteFrame(world);
-    let gone = false;
-    let view: PlanView | null = null;
-    const close = () => {
-      painter.value?.destroy();
-      painter.value = null;
-      view?.destroy();
-      view = null;
-    };
-    const events: PlanEvents = {
-      moved: () => painter.value?.moved(),
-      taken: () => painter.value?.taken(),
-      failed: () => {
-        if (gone) return;
-        close();
-        openSimple();
+    const container = place.current;
+    if (container === null) return;
+    const opened = createCanvasView(container, palette.peek(), text.plan.description, {
+      moved: () => painter.peek()?.moved(),
+      taken: () => painter.peek()?.taken(),
+      over: (at) => {
+        over.value = at;
       },
-    };
-    const show = (opened: PlanView, as: Drawing) => {
-      view = opened;
-      painter.value = new PlanPainter({ store, choices }, opened, palette.value);
-      drawing.value = as;
-    };
-    const openSimple = () =>
-      show(createSvgView(container, palette.value, text.plan.description, events), "simple");
-    const open = async () => {
-      if (!webglWorks()) return openSimple();
-      try {
-        const { createMapView } = await import("./map-view");
-        if (gone) return;
-        show(createMapView(container, frame, palette.value, text.plan.description, events), "map");
-      } catch {
-        if (!gone) openSimple();
-      }
-    };
-    void open();
+      pressed: (at) => {
+        if (measure.peek() !== null) measure.value = [...(measure.peek() ?? []), at];
+        else {
+          const id = painter.peek()?.machineAt(at) ?? null;
+          if (id !== null) choices.selected.value = id;
+        }
+      },
+    });
+    view.value = opened;
+    const made = new PlanPainter({ store, choices }, opened, palette.peek(), { measure, shapes });
+    painter.value = made;
+    onReady?.(made);
     return () => {
-      gone = true;
-      close();
+      made.destroy();
+      opened.destroy();
+      painter.value = null;
+      view.value = null;
     };
-  }, [worldKey]);
+  }, [store]);
 
-  useEffect(() => palette.subscribe((colours) => painter.value?.setPalette(colours)), [palette, painter]);
+  useEffect(() => palette.subscribe((colours) => painter.peek()?.setPalette(colours)), [palette, painter]);
+  useEffect(() => {
+    const { underlays, words } = planUnderlays(features, palette.value);
+    view.value?.setUnderlays([...shadowUnderlays(shadow, palette.value), ...underlays], words);
+  }, [features, shadow, palette.value, view.value]);
+  useEffect(() => view.value?.setMeasuring(measure.value !== null), [measure.value, view.value]);
 
   const selected = choices.selected.value;
   const machine = selected === null ? undefined : store.calm.value.machines.get(selected);
   return (
-    <section class="plan" aria-label={text.plan.title} data-drawing={drawing.value}>
-      <div class="plan-canvas" ref={canvas} />
+    <section class={`plan${recorded ? " plan-recorded" : ""}`} aria-label={text.plan.title} data-drawing="canvas">
+      <div class="plan-canvas" ref={place} />
       {painter.value !== null && (
         <Overlay furniture={painter.value.furniture} onPick={(id) => (choices.selected.value = id)} />
       )}
@@ -110,11 +116,72 @@ export function Plan() {
         >
           −
         </button>
+        <button
+          type="button"
+          aria-pressed={measure.value !== null}
+          onClick={() => (measure.value = measure.value === null ? [] : null)}
+        >
+          {text.plan.measure}
+        </button>
+        {children}
       </div>
-      <Legend palette={palette.value} />
-      {drawing.value === "simple" && <p class="plan-note">{text.plan.simple}</p>}
+      <Legend palette={palette.value} shadow={shadow.length > 0} />
+      <Readout measure={measure} over={over} />
     </section>
   );
+}
+
+/** Where the pointer is, or what was measured. */
+function Readout({
+  measure,
+  over,
+}: {
+  measure: ReadonlySignal<readonly Metres[] | null>;
+  over: ReadonlySignal<Metres | null>;
+}) {
+  const { store, choices } = useDesk();
+  const { text, format } = useSpeech();
+  const points = measure.value;
+  if (points !== null) {
+    const legs = points.slice(1).map((point, index) => {
+      const from = points[index] as Metres;
+      return { length_m: Math.hypot(point[0] - from[0], point[1] - from[1]), from, to: point };
+    });
+    const total_m = legs.reduce((sum, { length_m }) => sum + length_m, 0);
+    const last = legs.at(-1);
+    return (
+      <p class="plan-note plan-measure" role="status">
+        {last === undefined
+          ? text.plan.measureHint
+          : text.plan.measured(
+              format.metres(total_m, 2),
+              format.bearing((Math.atan2(last.to[0] - last.from[0], last.to[1] - last.from[1]) * 180) / Math.PI),
+            )}
+      </p>
+    );
+  }
+  const world = store.calm.value.site?.world;
+  if (over.value === null || world === undefined) return null;
+  return (
+    <p class="plan-note plan-readout" aria-hidden="true">
+      {placeText(over.value, choices.coordinates.value, new SiteFrame(world), format, text.plan)}
+    </p>
+  );
+}
+
+/** A place in the coordinates that were chosen. */
+export function placeText(
+  at: Metres,
+  coordinates: Coordinates,
+  frame: SiteFrame,
+  format: ReturnType<typeof useSpeech>["format"],
+  words: { east: string; north: string },
+): string {
+  if (coordinates === "grid") {
+    return `${words.east} ${format.number(at[0], 2)} m, ${words.north} ${format.number(at[1], 2)} m`;
+  }
+  const [longitude, latitude] = frame.toLngLat(at);
+  return `${format.degrees(latitude, 7)}, ${format.degrees(longitude, 7)}`;
 }
 
 function Overlay({ furniture, onPick }: { furniture: PlanPainter["furniture"]; onPick(id: string): void }) {
@@ -131,7 +198,7 @@ function Overlay({ furniture, onPick }: { furniture: PlanPainter["furniture"]; o
             transform: along === "north" ? `translateX(${offset_px}px)` : `translateY(${offset_px}px)`,
           }}
         >
-          {along === "north" ? "E" : "N"} {format.number(value_m, digits)}
+          {along === "north" ? text.plan.east : text.plan.north} {format.number(value_m, digits)}
         </span>
       ))}
       {labels.map((label) => (
@@ -146,15 +213,15 @@ function Overlay({ furniture, onPick }: { furniture: PlanPainter["furniture"]; o
           <div class="label-chip">
             <SeverityIcon severity={label.severity} />
             <strong>{label.name}</strong>
-            <span class="label-word">{label.word}</span>
+            {label.word !== "" && <span class="label-word">{label.word}</span>}
           </div>
         </div>
       ))}
-      <div class="north" title={text.plan.north}>
+      <div class="north" title={text.plan.northUp}>
         <svg viewBox="0 0 20 28" width="20" height="28" aria-hidden="true">
           <path d="M10 1 17 19 10 15 3 19Z" />
         </svg>
-        N
+        {text.plan.north}
       </div>
       <div class="scale" title={text.plan.scale}>
         <span>{format.roundLength(scale.length_m)}</span>
@@ -165,7 +232,7 @@ function Overlay({ furniture, onPick }: { furniture: PlanPainter["furniture"]; o
 }
 
 /** The palette that the person's system asks for; it follows when that changes. */
-function usePalette() {
+function usePalette(): Signal<Palette> {
   const query = useRef(window.matchMedia("(prefers-color-scheme: dark)")).current;
   const palette = useSignal<Palette>(query.matches ? DARK : LIGHT);
   useEffect(() => {
@@ -176,13 +243,4 @@ function usePalette() {
     return () => query.removeEventListener("change", follow);
   }, [palette, query]);
   return palette;
-}
-
-/** Whether the map can draw here; `?plan=simple` asks for the plain plan. */
-function webglWorks(): boolean {
-  if (new URLSearchParams(window.location.search).get("plan") === "simple") return false;
-  const context = document.createElement("canvas").getContext("webgl2");
-  if (context === null) return false;
-  context.getExtension("WEBGL_lose_context")?.loseContext();
-  return true;
 }

@@ -5,7 +5,7 @@ import type { Metres } from "../geometry/geodesy";
 import { CABIN, CHASSIS, circleOutline, ellipseOutline, HATCH, place } from "../geometry/shapes";
 import { isStale } from "../store/freshness";
 import type { Machine, State } from "../store/store";
-import type { Trace } from "../store/trace";
+import type { Tracing } from "../store/trace";
 import type { Palette } from "./palette";
 import type { Shape } from "./view";
 
@@ -59,7 +59,7 @@ function positionOf(pose: PoseView): Metres {
 }
 
 /** One line for each stretch of one GNSS state; the last reaches to where the machine is now. */
-function tail(shapes: Shape[], trace: Trace, now: Metres, palette: Palette, opacity: number): void {
+function tail(shapes: Shape[], trace: Tracing, now: Metres, palette: Palette, opacity: number): void {
   let points: Metres[] = [];
   let colour = palette.gnss.unknown;
   const finish = () => {
@@ -170,4 +170,17 @@ function excavator(shapes: Shape[], pose: PoseView, palette: Palette, looks: Loo
       strokeWidth_px: 1.2,
     });
   }
+}
+
+/** The line that is being measured: its corners, and crosses where they are. */
+export function measureShapes(points: readonly Metres[], palette: Palette, metresPerPixel: number): Shape[] {
+  const stroke = palette.measure;
+  const shapes: Shape[] = points.map((at) => ({
+    layer: "measure",
+    kind: "area",
+    points: circleOutline(at, 4 * metresPerPixel, 12),
+    fill: stroke,
+  }));
+  if (points.length > 1) shapes.push({ layer: "measure", kind: "line", points, stroke, strokeWidth_px: 2 });
+  return shapes;
 }

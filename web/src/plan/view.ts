@@ -1,11 +1,11 @@
-/** What every way of drawing the plan can do; the map and the plain fallback are two of them. */
+/** What the plan draws, and what the one who draws it can do. */
 
 import type { Metres } from "../geometry/geodesy";
 import type { Extent, GridLine } from "../geometry/grid";
 import type { Palette } from "./palette";
 
 /** Drawn in this order: later ones lie above. */
-export const LAYERS = ["tail", "chassis", "cabin", "hatch", "ellipse", "ring"] as const;
+export const LAYERS = ["track", "tail", "chassis", "cabin", "hatch", "ellipse", "ring", "measure"] as const;
 export type Layer = (typeof LAYERS)[number];
 
 /** One area or line of the plan, in metres; it carries its colours. */
@@ -21,11 +21,29 @@ export interface Shape {
   strokeWidth_px?: number;
 }
 
+/** What lies under the machines and seldom changes: kept as paths in metres. */
+export interface Underlay {
+  path: Path2D;
+  fill?: string;
+  fillOpacity?: number;
+  stroke?: string;
+  strokeWidth_px?: number;
+}
+
+/** A word at a place of the site's plan. */
+export interface PlanWord {
+  at: Metres;
+  text: string;
+}
+
 export interface PlanView {
   /** Puts the shapes on the plan, in place of those before. */
   draw(shapes: readonly Shape[]): void;
   drawGrid(lines: readonly GridLine[]): void;
+  setUnderlays(underlays: readonly Underlay[], words: readonly PlanWord[]): void;
   setPalette(palette: Palette): void;
+  /** What a click means: the cursor says so. */
+  setMeasuring(measuring: boolean): void;
   /** The part that is visible. */
   extent(): Extent;
   metresPerPixel(): number;
@@ -42,6 +60,8 @@ export interface PlanEvents {
   moved(): void;
   /** A person moved the camera. */
   taken(): void;
-  /** The view cannot go on, and says why. */
-  failed(reason: string): void;
+  /** A person pressed a place of the plan, without moving it. */
+  pressed(at: Metres): void;
+  /** The pointer is over a place of the plan, or has left it. */
+  over(at: Metres | null): void;
 }

@@ -8,7 +8,8 @@
 import { type ReadonlySignal, type Signal, signal } from "@preact/signals";
 
 import type { Delta, MachineView, Site, Snapshot } from "../api/types";
-import { Trace } from "./trace";
+import type { Source } from "./context";
+import { Trace, type Tracing } from "./trace";
 
 /** The connection to the site. */
 export type Link =
@@ -21,7 +22,7 @@ export interface Machine {
   view: MachineView;
   /** When `view` arrived, by the page's monotonic clock. */
   received_ms: number;
-  trace: Trace;
+  trace: Tracing;
 }
 
 export interface State {
@@ -53,7 +54,7 @@ interface Pending {
   siteTime: { time_ms: number; received_ms: number } | null;
 }
 
-export class Store {
+export class Store implements Source {
   private readonly current: Signal<State>;
   private readonly calmed: Signal<State>;
   private pending: Pending = nothingPending();
@@ -173,7 +174,7 @@ function mergeMachines(
   const merged = new Map<string, Machine>(anew ? [] : before);
   for (const [id, { view, received_ms }] of views) {
     const known = before.get(id)?.trace;
-    const trace = known !== undefined && known.boot === view.boot ? known : new Trace(view.boot);
+    const trace = known instanceof Trace && known.boot === view.boot ? known : new Trace(view.boot);
     if (anew) trace.interrupt();
     trace.add(view, received_ms);
     merged.set(id, { view, received_ms, trace });

@@ -33,12 +33,18 @@ export interface HistoryPoint {
   speed_mps: number;
 }
 
+/** What is remembered of a machine, for drawing. */
+export interface Tracing {
+  readonly tail: readonly TailPoint[];
+  readonly history: readonly HistoryPoint[];
+}
+
 /** Standard deviation of the position in the worse of east and north, m. */
 export function horizontalSigma_m(pose: PoseView): number {
   return Math.max(pose.position_sigma_m[0], pose.position_sigma_m[1]);
 }
 
-export class Trace {
+export class Trace implements Tracing {
   readonly tail: TailPoint[] = [];
   readonly history: HistoryPoint[] = [];
   private breakTail = true;

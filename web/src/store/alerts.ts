@@ -1,0 +1,33 @@
+/** The alerts that are open: over but not seen, or not over. The live connection brings them. */
+
+import { computed, type ReadonlySignal, signal } from "@preact/signals";
+
+import type { AlertView } from "../api/alerts";
+
+const open = signal<readonly AlertView[]>([]);
+
+/** The gravest first, then the newest. */
+export const openAlerts: ReadonlySignal<readonly AlertView[]> = computed(() => {
+  const rank = { critical: 0, warning: 1, info: 2 };
+  return [...open.value].sort(
+    (a, b) => rank[a.severity] - rank[b.severity] || Date.parse(b.raised) - Date.parse(a.raised),
+  );
+});
+
+/** Those that nobody has seen. */
+export const unseenAlerts = computed(() => openAlerts.value.filter(({ acknowledged }) => acknowledged === null));
+
+export function takeAlerts(alerts: readonly AlertView[]): void {
+  open.value = alerts;
+}
+
+/** One was acknowledged here: it shows before the site tells everybody. */
+export function takeAlert(alert: AlertView): void {
+  const is_over = alert.state === "cleared";
+  open.value = open.value.flatMap((other) => (other.id !== alert.id ? [other] : is_over ? [] : [alert]));
+}
+
+/** Ids that came since, out of those that nobody has seen. */
+export function newAmong(before: ReadonlySet<string>, alerts: readonly AlertView[]): AlertView[] {
+  return alerts.filter(({ id }) => !before.has(id));
+}
