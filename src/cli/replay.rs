@@ -140,7 +140,12 @@ fn open(arguments: &Arguments) -> Result<Session, Box<dyn Error>> {
     let mut files = Vec::new();
     for path in &arguments.sessions {
         must_exist(path)?;
-        files.extend(files_at(path)?);
+        let found = record::files_of(path)?;
+        if found.is_empty() {
+            let message = format!("{}: there are no recordings (*.mcap) in it", path.display());
+            return Err(BadArguments(message).into());
+        }
+        files.extend(found);
     }
     let mut found: BTreeSet<String> = BTreeSet::new();
     for path in &files {
@@ -160,22 +165,6 @@ fn open(arguments: &Arguments) -> Result<Session, Box<dyn Error>> {
     }
     let bytes = files.iter().map(|path| fs::metadata(path).map_or(0, |about| about.len())).sum();
     Ok(Session { files, bytes, machines: wanted.into_iter().collect() })
-}
-
-/// A file, or those of a session in their order.
-fn files_at(path: &Path) -> Result<Vec<PathBuf>, Box<dyn Error>> {
-    if !path.is_dir() {
-        return Ok(vec![path.to_owned()]);
-    }
-    let read = || fs::read_dir(path)?.map(|entry| Ok(entry?.path())).collect::<std::io::Result<Vec<_>>>();
-    let mut files = read().map_err(|error| format!("{}: {error}", path.display()))?;
-    files.retain(|file| file.extension().is_some_and(|ending| ending == "mcap"));
-    files.sort();
-    if files.is_empty() {
-        let message = format!("{}: there are no recordings (*.mcap) in it", path.display());
-        return Err(BadArguments(message).into());
-    }
-    Ok(files)
 }
 
 #[cfg(test)]

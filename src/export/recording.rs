@@ -116,11 +116,7 @@ pub fn gather(
                 },
             }
         }
-        let lost = messages.lost_bytes();
-        let kind = format!("{}: bytes that are torn off or damaged", path.display());
-        gathered
-            .faults
-            .note_many(&kind, lost, || "the file was not closed, or a chunk fails its check".to_owned());
+        gathered.faults.note_lost(path, messages.lost_bytes());
         bytes_before += messages.bytes_read();
         progress(bytes_before);
     }

@@ -52,7 +52,8 @@ pub struct Repeats {
 }
 
 impl Spool {
-    /// `scratch` is a file that may be made, and overwritten, if there are many poses: a name on a disk with room.
+    /// `scratch` is a file that may be made if there are many poses: a name on a disk with room, of nothing that is
+    /// there.
     pub fn new(scratch: PathBuf) -> Self {
         Self::with_limit(scratch, POSES_HELD)
     }
@@ -144,7 +145,8 @@ impl Spool {
             Some(file) => file,
             None => {
                 let mut options = OpenOptions::new();
-                options.read(true).write(true).create(true).truncate(true);
+                // Others write to folders such as /tmp, too: what is there is none of ours.
+                options.read(true).write(true).create_new(true);
                 let file = options.open(&self.scratch)?;
                 // Without a name it is gone with the process, however that ends.
                 fs::remove_file(&self.scratch)?;

@@ -154,6 +154,18 @@ fn scratch(name: &str) -> PathBuf {
 }
 
 #[test]
+fn scratch_file_is_none_that_is_there() {
+    let path = scratch("taken");
+    std::fs::write(&path, "of another").expect("written");
+    let mut spool = Spool::with_limit(path.clone(), 1);
+    spool.push("a", pose(0)).expect("held");
+    let error = spool.push("a", pose(1)).expect_err("the name is taken");
+    assert_eq!(error.kind(), io::ErrorKind::AlreadyExists);
+    assert_eq!(std::fs::read(&path).expect("there"), b"of another");
+    std::fs::remove_file(&path).expect("removed");
+}
+
+#[test]
 fn spool_sorts_what_comes_mixed_the_same_in_memory_and_on_disk() {
     // Two machines; the second tenth of b comes late, c is there twice, and contradicts itself once.
     let mut coming: Vec<(&str, TrackPose)> = Vec::new();
