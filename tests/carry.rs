@@ -372,6 +372,17 @@ fn estimate_is_not_overwritten_by_its_export_and_odom_is_the_chassis_without_pla
 }
 
 #[test]
+fn pose_nowhere_on_the_earth_is_left_out_and_told() {
+    let folder = empty_folder("carry-nowhere");
+    let (tum, out) = (folder.join("a.tum"), folder.join("b.tum"));
+    fs::write(&tum, "1.000000000 0 0 0 0 0 0 1\n2.000000000 1e300 0 0 0 0 0 1\n").expect("written");
+    let ended = run(&["export", text(&tum), "--out", text(&out)]);
+    assert_eq!(ended.code, 3, "{}", ended.stderr);
+    assert!(ended.stderr.contains("nowhere on the earth: 1, first: at 2.000000000"), "{}", ended.stderr);
+    assert_eq!(fs::read_to_string(&out).expect("written"), "1.000000000 0 0 0 0 0 0 1\n");
+}
+
+#[test]
 fn export_goes_through_links_and_pipes() {
     use std::os::unix::fs::{FileTypeExt as _, symlink};
 
@@ -381,6 +392,7 @@ fn export_goes_through_links_and_pipes() {
     let export = |out: &Path| run(&["export", text(&tum), "--format", "tum", "--out", text(out)]);
     let [pipe, link, real] = ["pipe", "link", "real"].map(|name| folder.join(name));
     assert!(std::process::Command::new("mkfifo").arg(&pipe).status().expect("mkfifo").success());
+    #[expect(clippy::disallowed_methods, reason = "somebody must read the pipe meanwhile")]
     let reader = std::thread::spawn({
         let pipe = pipe.clone();
         move || fs::read(pipe)

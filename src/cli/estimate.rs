@@ -7,6 +7,7 @@ use std::time::Instant;
 use super::progress::{Progress, Unit};
 use super::{BadArguments, Outcome, must_exist};
 use crate::config::{self, Machine};
+use crate::export::Faults;
 use crate::import::{
     Source, log_folder_bytes, read_log_folder_showing, read_recordings, recorded_machines, source_of,
 };
@@ -86,9 +87,9 @@ pub fn run(arguments: Arguments) -> Result<Outcome, Box<dyn Error>> {
         let waits_for = summary.health.waits_for.as_deref().unwrap_or("readings");
         return Err(format!("the estimate never started: it waits for {waits_for}").into());
     }
-    if lost_bytes > 0 {
-        eprintln!("{}: {lost_bytes} bytes could not be read", arguments.log[0].display());
-    }
+    let mut faults = Faults::default();
+    faults.note_lost(&arguments.log[0], lost_bytes);
+    eprint!("{faults}");
     Ok(if lost_bytes > 0 || summary.unfit_readings > 0 { Outcome::DataWasBad } else { Outcome::Done })
 }
 

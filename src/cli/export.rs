@@ -10,7 +10,7 @@ use super::progress::{Progress, Unit};
 use super::{BadArguments, Outcome, must_exist};
 use crate::config::{self, Machine};
 use crate::export::{
-    self, Faults, Format, Frame, Options, Outage, Spool, Target, TrackPose, TrackWriter, Written,
+    self, Faults, Format, Frame, Lack, Options, Outage, Spool, Target, TrackPose, TrackWriter, Written,
     outages_of_events,
 };
 use crate::frames::geodesy::SiteFrame;
@@ -163,7 +163,11 @@ fn format(text: &str) -> Result<Format, String> {
 
 fn positive(text: &str) -> Result<f64, String> {
     let value: f64 = text.parse().map_err(|_| format!("\"{text}\" is not a number"))?;
-    if (1e-3..=1e6).contains(&value) { Ok(value) } else { Err("must be from 0.001 to 1000000".to_owned()) }
+    let range = Options::RANGE;
+    match range.contains(&value) {
+        true => Ok(value),
+        false => Err(format!("must be from {} to {}", range.start(), range.end())),
+    }
 }
 
 fn chosen_format(arguments: &Arguments) -> Result<Format, Box<dyn Error>> {
@@ -203,7 +207,7 @@ fn is_mcap(path: &Path) -> bool {
     path.extension().is_some_and(|end| end == "mcap")
 }
 
-fn open(out: &Path) -> Result<(Option<Target>, Box<dyn Write>), Box<dyn Error>> {
+fn open(out: &Path) -> std::io::Result<(Option<Target>, Box<dyn Write>)> {
     const BUFFER_BYTES: usize = 1 << 16;
     if out.as_os_str() == "-" {
         return Ok((None, Box::new(BufWriter::with_capacity(BUFFER_BYTES, std::io::stdout()))));
@@ -262,47 +266,33 @@ fn from_recordings(
     let show = |bytes: u64| progress.show(bytes as f64, whole as f64);
     let mut gathered = export::gather(files, only, frame, Spool::new(scratch), show)?;
     progress.finish();
-    let machines = gathered.spool.machines();
+    let site = site.or(gathered.origin.map(SiteFrame::new));
     let first = files[0].display();
     let known = gathered.machines.join(", ");
-    if let Some(only) = only.filter(|only| !gathered.machines.iter().any(|known| known == only)) {
-        return Err(bad(format!("{first}: has no machine {only}, but: {known}")));
-    }
-    if machines.is_empty() {
-        eprint!("{}", gathered.faults);
-        let hint = "run estimate on it, and export its folder";
-        return Err(format!("{first}: has no poses, but topics of: {known}; {hint}").into());
-    }
-    if format.one_track() && machines.len() > 1 {
-        let ids: Vec<&str> = machines.iter().map(|(id, _)| id.as_str()).collect();
-        let message =
-            format!("a {} file takes one machine, choose with --machine: {}", format.name(), ids.join(", "));
-        return Err(bad(message));
-    }
-    let origin = gathered.origin.filter(|_| frame == Frame::World);
-    let site = site.or(origin.map(SiteFrame::new));
-    let (target, mut writer) = begin(arguments, format, site)?;
-    let count: u64 = machines.iter().map(|(_, count)| count).sum();
-    let mut progress = Progress::new("writing", Unit::Count("poses"));
-    let mut done = 0_u64;
-    for (machine, _) in &machines {
-        writer.begin_track(machine, gathered.outages.remove(machine))?;
-        let repeats = gathered.spool.drain(machine, |pose| {
-            done += 1;
-            if done.is_multiple_of(4_096) {
-                progress.show(done as f64, count as f64);
-            }
-            writer.pose(pose)
-        })?;
-        if repeats.same > 0 {
-            eprintln!("{machine}: {} poses are in the recording twice, and were written once", repeats.same);
+    match gathered.lack(only, format, site.is_some()) {
+        // What is wrong with the origin is said in `begin`, as for other inputs.
+        None | Some(Lack::Origin) => {}
+        Some(Lack::Machine) => {
+            return Err(bad(format!("{first}: has no machine {}, but: {known}", only.unwrap_or_default())));
         }
-        let kind = format!("{machine}: poses with the stamp of another, which were left out");
-        gathered.faults.note_many(&kind, repeats.contradicting, || {
-            repeats.first_contradicting.map_or(String::new(), |stamp| format!("at {stamp}"))
-        });
+        Some(Lack::Poses) => {
+            eprint!("{}", gathered.faults);
+            let hint = "run estimate on it, and export its folder";
+            return Err(format!("{first}: has no poses, but topics of: {known}; {hint}").into());
+        }
+        Some(Lack::OneTrack(machines)) => {
+            let (format, ids) = (format.name(), machines.join(", "));
+            return Err(bad(format!("a {format} file takes one machine, choose with --machine: {ids}")));
+        }
     }
+    let (target, mut writer) = begin(arguments, format, site)?;
+    let count: u64 = gathered.spool.machines().iter().map(|(_, count)| count).sum();
+    let mut progress = Progress::new("writing", Unit::Count("poses"));
+    let twice = gathered.write_tracks(&mut writer, |done| progress.show(done as f64, count as f64))?;
     progress.finish();
+    for (machine, poses) in twice {
+        eprintln!("{machine}: {poses} poses are in the recording twice, and were written once");
+    }
     let (_, written) = writer.finish()?;
     target.map_or(Ok(()), Target::keep)?;
     Ok((written, gathered.faults))
@@ -338,11 +328,17 @@ fn from_tum(
     while let Some(pose) = poses.next() {
         let pose = pose?;
         progress.show(poses.bytes_read() as f64, whole as f64);
-        writer.pose(&TrackPose {
+        let pose = TrackPose {
             stamp: pose.stamp,
             position: pose.pose.translation,
             quaternion_xyzw: pose.pose.rotation.to_xyzw(),
-        })?;
+        };
+        if pose.is_fit() {
+            writer.pose(&pose)?;
+        } else {
+            let kind = format!("{}: poses that are nowhere on the earth", path.display());
+            faults.note(&kind, || format!("at {}", pose.stamp));
+        }
     }
     progress.finish();
     let (_, written) = writer.finish()?;

@@ -29,7 +29,7 @@ use std::path::Path;
 pub use faults::Faults;
 pub use log_folder::{LogFolderWriter, header, log_file, write_row};
 pub use readings::{ReadingsError, ReadingsWriter, Whose};
-pub use recording::{Frame, GatherError, Gathered, gather, outages_of_events};
+pub use recording::{Frame, GatherError, Gathered, Lack, gather, outages_of_events};
 pub use spool::{Repeats, Spool};
 pub use target::{Target, beside};
 pub use track::{Format, Options, Outage, TrackPose, TrackWriter, Written};

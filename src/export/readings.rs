@@ -27,7 +27,7 @@ pub struct Whose {
 pub struct ReadingsWriter(Into);
 
 enum Into {
-    Folder(LogFolderWriter),
+    Folder(Box<LogFolderWriter>),
     Recording {
         target: Target,
         writer: Box<RecordWriter>,
@@ -54,7 +54,7 @@ impl ReadingsWriter {
     /// [`ReadingsError`] if that fails.
     pub fn create(out: &Path, whose: &Whose) -> Result<Self, ReadingsError> {
         if out.extension().is_none_or(|extension| extension != "mcap") {
-            return Ok(Self(Into::Folder(LogFolderWriter::create(out)?)));
+            return Ok(Self(Into::Folder(Box::new(LogFolderWriter::create(out)?))));
         }
         let target = Target::of(out)?;
         if target.is_special() {

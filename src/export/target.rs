@@ -180,6 +180,7 @@ mod tests {
         let pipe = folder.join("pipe");
         let made = std::process::Command::new("mkfifo").arg(&pipe).status().expect("mkfifo");
         assert!(made.success());
+        #[expect(clippy::disallowed_methods, reason = "somebody must read the pipe meanwhile")]
         let reader = std::thread::spawn({
             let pipe = pipe.clone();
             move || {

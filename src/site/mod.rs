@@ -170,6 +170,7 @@ impl Site {
             recorder: recorder.as_ref().map(Recorder::progress),
             recorder_inbox: recorder.as_ref().map(Recorder::inbox),
             clock,
+            exports: http::turnstile(),
             stopped: stopped.clone(),
         };
         let server = http::serve(listener, shared, stopped);

@@ -3,6 +3,7 @@
 mod api;
 mod assets;
 mod download;
+mod export;
 mod guard;
 mod live;
 mod metrics;
@@ -20,7 +21,7 @@ use axum::middleware;
 use axum::routing::get;
 use axum::serve::ListenerExt as _;
 use tokio::net::TcpListener;
-use tokio::sync::watch;
+use tokio::sync::{Semaphore, watch};
 use utoipa::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
@@ -30,6 +31,7 @@ use super::clock::SiteClock;
 use super::counters::Counters;
 use super::ended;
 use super::sessions::{Catalogue, Command, Progress};
+pub(super) use export::turnstile;
 use problem::Problem;
 
 /// What the handlers see of the site.
@@ -44,6 +46,8 @@ pub(super) struct Shared {
     pub recorder: Option<watch::Receiver<Progress>>,
     pub recorder_inbox: Option<SyncSender<Command>>,
     pub clock: SiteClock,
+    /// How many exports may be made at once.
+    pub exports: Arc<Semaphore>,
     pub stopped: watch::Receiver<bool>,
 }
 
@@ -82,6 +86,7 @@ fn router(shared: Shared) -> Router {
         .routes(routes!(sessions::session, sessions::edit))
         .routes(routes!(sessions::stop))
         .routes(routes!(download::recording))
+        .routes(routes!(export::export))
         .routes(routes!(live::live))
         .routes(routes!(ready::healthz))
         .routes(routes!(ready::readyz))
