@@ -49,7 +49,8 @@ The machine file says where the readings are in a bag, for those that it has:
   gnss_left = \"/gnss/left/fix\"        # sensor_msgs/msg/NavSatFix
   gnss_right = \"/gnss/right/fix\"      # the same, both with covariances
   lidar_odometry = \"/lidar/odometry\"  # nav_msgs/msg/Odometry, or
-                                        # geometry_msgs/msg/PoseStamped
+                                        # geometry_msgs/msg/PoseStamped, or
+                                        # .../PoseWithCovarianceStamped
   cabin_turn = \"/joint_states\"        # sensor_msgs/msg/JointState,
   cabin_turn_joint = \"cabin_turn\"     # and which of its joints
 Without [topics] they are /ID/sensor/imu and so on, as in recordings.
