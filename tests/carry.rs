@@ -20,6 +20,22 @@ fn text(path: &Path) -> &str {
     path.to_str().expect("UTF-8")
 }
 
+/// The recording as if another program had written it: a bag with our topics.
+fn as_bag(recording: &Path, bag: &Path) {
+    let mut bytes = fs::read(recording).expect("recording");
+    let name = b"holdfast ";
+    let at = bytes.windows(name.len()).position(|found| found == name).expect("its writer");
+    bytes[at..at + name.len()].copy_from_slice(b"somebody ");
+    fs::write(bag, bytes).expect("written");
+}
+
+/// The names in a folder of what is not yet whole.
+fn unfinished(folder: &Path) -> Vec<String> {
+    let entries = fs::read_dir(folder).expect("folder").map(|entry| entry.expect("entry").file_name());
+    let names = entries.map(|name| name.to_string_lossy().into_owned());
+    names.filter(|name| name.contains("part") || name.contains("scratch")).collect()
+}
+
 fn roof() -> PathBuf {
     repository("config/machines/simulated-roof.toml")
 }
@@ -69,7 +85,7 @@ fn what_cannot_be_imported_is_said_and_leaves_nothing_behind() {
     let (code, errors) = import(&folder.join("nowhere"), &machine);
     assert_eq!(code, 2, "{errors}");
     let (code, errors) = import(&folder, &machine);
-    assert_eq!(code, 1, "{errors}");
+    assert_eq!(code, 2, "{errors}");
     assert!(errors.contains("is neither a log folder (imu.csv, ...) nor a ROS 2 bag"), "{errors}");
     let not_mcap = folder.join("x.mcap");
     fs::write(&not_mcap, "hello, this is no MCAP file").expect("written");
@@ -237,4 +253,227 @@ fn estimate_and_tum_are_exported_and_what_is_missing_is_said() {
         ended.stderr
     );
     assert!(!csv.exists());
+}
+
+#[test]
+fn import_refuses_to_write_over_what_it_reads() {
+    let folder = empty_folder("carry-onto-itself");
+    let log = logs(&folder, 5).join("walker-1");
+    let machine = roof();
+    let recording = folder.join("a.mcap");
+    let ended = run(&["import", text(&log), "--machine", text(&machine), "--out", text(&recording)]);
+    assert_eq!(ended.code, 0, "{}", ended.stderr);
+    let [bag, session] = ["bag", "session"].map(|name| folder.join(name));
+    for into in [&bag, &session] {
+        fs::create_dir_all(into).expect("made");
+    }
+    as_bag(&recording, &bag.join("bag_0.mcap"));
+    fs::copy(&recording, session.join("s-0000.mcap")).expect("copied");
+    let linked = folder.join("linked");
+    fs::create_dir_all(&linked).expect("made");
+    std::os::unix::fs::symlink(log.join("imu.csv"), linked.join("imu.csv")).expect("linked");
+    for (source, out, file) in [
+        (&bag, bag.join("bag_0.mcap"), bag.join("bag_0.mcap")),
+        (&session, session.join("s-0000.mcap"), session.join("s-0000.mcap")),
+        (&log, linked, log.join("imu.csv")),
+    ] {
+        let before = fs::read(&file).expect("there");
+        let ended = run(&["import", text(source), "--machine", text(&machine), "--out", text(&out)]);
+        assert_eq!(
+            (ended.code, ended.stderr.contains("would be overwritten")),
+            (2, true),
+            "{}",
+            ended.stderr
+        );
+        assert!(fs::read(&file).expect("there") == before, "{}", file.display());
+    }
+}
+
+/// A disk that is full after 64 blocks.
+#[test]
+fn import_that_fails_midway_leaves_what_was_there() {
+    let folder = empty_folder("carry-midway");
+    let log = logs(&folder, 20).join("walker-1");
+    let machine = roof();
+    let recording = folder.join("a.mcap");
+    run(&["import", text(&log), "--machine", text(&machine), "--out", text(&recording)]);
+    let bag = folder.join("bag.mcap");
+    as_bag(&recording, &bag);
+    let out = folder.join("out.mcap");
+    fs::write(&out, "precious").expect("written");
+    let csv = folder.join("csv");
+    fs::create_dir_all(&csv).expect("made");
+    fs::write(csv.join("imu.csv"), "precious").expect("written");
+    fs::write(csv.join("cabin_turn.csv"), "precious").expect("written");
+    for out in [&out, &csv] {
+        for source in [&log, &recording, &bag] {
+            let ended = std::process::Command::new("sh")
+                .args(["-c", "trap '' XFSZ; ulimit -f 64; exec \"$@\"", "sh", env!("CARGO_BIN_EXE_holdfast")])
+                .args(["import", text(source), "--machine", text(&machine), "--out", text(out)])
+                .output()
+                .expect("sh runs");
+            assert_eq!(ended.status.code(), Some(1), "{}", String::from_utf8_lossy(&ended.stderr));
+        }
+    }
+    for file in [&out, &csv.join("imu.csv"), &csv.join("cabin_turn.csv")] {
+        assert_eq!(fs::read(file).expect("there"), b"precious", "{}", file.display());
+    }
+    assert_eq!([unfinished(&folder), unfinished(&csv)], [const { Vec::<String>::new() }; 2]);
+    let fresh = folder.join("fresh.mcap");
+    for out in [&out, &csv, &fresh] {
+        let ended = run(&["import", text(&bag), "--machine", text(&machine), "--out", text(out)]);
+        assert_eq!((ended.code, ended.stderr.as_str()), (0, ""));
+    }
+    assert!(fs::read(&out).expect("there") == fs::read(&fresh).expect("there"));
+    assert!(fs::read(csv.join("imu.csv")).expect("there") == fs::read(log.join("imu.csv")).expect("there"));
+}
+
+#[test]
+fn estimate_is_not_overwritten_by_its_export_and_odom_is_the_chassis_without_places() {
+    let folder = empty_folder("carry-odom");
+    let log = logs(&folder, 20).join("walker-1");
+    let (machine, estimated) = (roof(), folder.join("estimate"));
+    assert_eq!(estimate(&log, &machine, &estimated).code, 0);
+    for name in ["world.tum", "odom.tum", "events.jsonl", "estimate.csv"] {
+        let out = estimated.join(name);
+        let before = fs::read(&out).expect("there");
+        let ended = run(&["export", text(&estimated), "--format", "csv", "--out", text(&out)]);
+        assert_eq!(
+            (ended.code, ended.stderr.contains("would be overwritten")),
+            (2, true),
+            "{}",
+            ended.stderr
+        );
+        assert!(fs::read(&out).expect("there") == before, "{name}");
+    }
+    let file = folder.join("machine.toml");
+    fs::copy(&machine, &file).expect("copied");
+    let arguments = ["export", text(&estimated), "--machine-file", text(&file), "--format", "csv", "--out"];
+    let ended = run(&[&arguments[..], &[text(&file)]].concat());
+    assert_eq!((ended.code, ended.stderr.contains("would be overwritten")), (2, true), "{}", ended.stderr);
+    let odom = |name: &str, more: &[&str]| {
+        let out = folder.join(name);
+        let arguments = ["export", text(&estimated), "--frame", "odom", "--out", text(&out)];
+        let ended = run(&[&arguments[..], more].concat());
+        assert_eq!(ended.code, 0, "{}", ended.stderr);
+        fs::read_to_string(&out).expect("written")
+    };
+    let of = |name: &str| fs::read_to_string(estimated.join(name)).expect("there");
+    assert_ne!(of("base_odom.tum"), of("odom.tum"));
+    assert!(odom("a.tum", &[]) == of("base_odom.tum"));
+    // Nor does the machine file give places to what is not tied to the earth.
+    for more in [&[][..], &["--machine-file", text(&file)]] {
+        let csv = odom("a.csv", more);
+        assert_eq!(csv.lines().next(), Some("machine,t,x,y,z,qx,qy,qz,qw,gnss"));
+        assert!(csv.lines().all(|line| line.split(',').count() == 10));
+    }
+    fs::write(estimated.join("base_odom.tum"), "").expect("written");
+    assert!(odom("b.tum", &[]) == of("odom.tum"));
+}
+
+#[test]
+fn pose_nowhere_on_the_earth_is_left_out_and_told() {
+    let folder = empty_folder("carry-nowhere");
+    let (tum, out) = (folder.join("a.tum"), folder.join("b.tum"));
+    fs::write(&tum, "1.000000000 0 0 0 0 0 0 1\n2.000000000 1e300 0 0 0 0 0 1\n").expect("written");
+    let ended = run(&["export", text(&tum), "--out", text(&out)]);
+    assert_eq!(ended.code, 3, "{}", ended.stderr);
+    assert!(ended.stderr.contains("nowhere on the earth: 1, first: at 2.000000000"), "{}", ended.stderr);
+    assert_eq!(fs::read_to_string(&out).expect("written"), "1.000000000 0 0 0 0 0 0 1\n");
+}
+
+#[test]
+fn export_goes_through_links_and_pipes() {
+    use std::os::unix::fs::{FileTypeExt as _, symlink};
+
+    let folder = empty_folder("carry-special");
+    let tum = folder.join("a.tum");
+    fs::write(&tum, "1.000000000 0 0 0 0 0 0 1\n2.000000000 0 0 0 0 0 0 1\n").expect("written");
+    let export = |out: &Path| run(&["export", text(&tum), "--format", "tum", "--out", text(out)]);
+    let [pipe, link, real] = ["pipe", "link", "real"].map(|name| folder.join(name));
+    assert!(std::process::Command::new("mkfifo").arg(&pipe).status().expect("mkfifo").success());
+    #[expect(clippy::disallowed_methods, reason = "somebody must read the pipe meanwhile")]
+    let reader = std::thread::spawn({
+        let pipe = pipe.clone();
+        move || fs::read(pipe)
+    });
+    let ended = export(&pipe);
+    assert_eq!(ended.code, 0, "{}", ended.stderr);
+    assert!(fs::metadata(&pipe).expect("there").file_type().is_fifo());
+    assert!(reader.join().expect("read").expect("read") == fs::read(&tum).expect("there"));
+    fs::write(&real, "old").expect("written");
+    symlink("real", &link).expect("linked");
+    assert_eq!(export(&link).code, 0);
+    assert!(link.is_symlink() && fs::read(&real).expect("there") == fs::read(&tum).expect("there"));
+    // To stdout by its name, which the system makes a link.
+    let ended = export(Path::new("/dev/stdout"));
+    assert_eq!((ended.code, ended.stdout.into_bytes()), (0, fs::read(&tum).expect("there")));
+    assert_eq!(unfinished(&folder), Vec::<String>::new());
+}
+
+#[test]
+fn session_of_several_files_is_imported_and_estimated_as_the_machine_had_it() {
+    let folder = empty_folder("carry-several");
+    let session = repository("tests/replay/restarts");
+    let machine = repository("tests/replay/yard-2.toml");
+    let files = holdfast::record::files_of(&session).expect("files");
+    assert_eq!(files.len(), 2);
+    let csv = folder.join("csv");
+    let import = |sources: &[&Path], out: &Path| {
+        let mut arguments = vec!["import"];
+        arguments.extend(sources.iter().map(|path| text(path)));
+        run(&[&arguments[..], &["--machine", text(&machine), "--out", text(out)]].concat())
+    };
+    let ended = import(&[&session], &csv);
+    assert_eq!((ended.code, ended.stderr.as_str()), (0, ""));
+    // Each once, in the order of the machine, also those that came after the site was back.
+    let mut sent = std::collections::BTreeMap::new();
+    let mut by_file = Vec::new();
+    for file in &files {
+        for message in
+            holdfast::record::read_messages(file).expect("opens").map(|message| message.expect("reads"))
+        {
+            if message.machine == "yard-2" && message.topic.name() == "sensor/imu" {
+                by_file.push(message.sent);
+                sent.insert((message.sent, message.boot, message.sequence), ());
+            }
+        }
+    }
+    assert!(!by_file.is_sorted(), "nothing of it came late");
+    let rows = fs::read_to_string(csv.join("imu.csv")).expect("imu");
+    let arrivals: Vec<String> =
+        rows.lines().skip(1).map(|row| row.split(',').next().expect("a field").to_owned()).collect();
+    assert_eq!(arrivals, sent.keys().map(|(sent, ..)| sent.to_string()).collect::<Vec<_>>());
+    // Named one by one, backward; then as one recording; each estimates the same.
+    let one = folder.join("one.mcap");
+    let ended = import(&[&files[1], &files[0]], &one);
+    assert_eq!((ended.code, ended.stderr.as_str()), (0, ""));
+    let poses = [&session, &one].map(|log| {
+        let out = folder.join("estimate");
+        let ended = estimate(log, &machine, &out);
+        assert_eq!(ended.code, 0, "{}", ended.stderr);
+        fs::read(out.join("world.tum")).expect("poses")
+    });
+    assert!(poses[0] == poses[1] && !poses[0].is_empty());
+    // What does not belong together is refused in words.
+    let mixed = folder.join("mixed");
+    fs::create_dir_all(&mixed).expect("made");
+    fs::copy(&files[0], mixed.join("ours.mcap")).expect("copied");
+    as_bag(&files[0], &mixed.join("theirs.mcap"));
+    let ended = import(&[&mixed], &folder.join("none"));
+    assert_eq!(ended.code, 1, "{}", ended.stderr);
+    let told = "holds a recording of holdfast (ours.mcap) and another's (theirs.mcap)";
+    assert!(ended.stderr.contains(told), "{}", ended.stderr);
+    let ended = import(&[&files[0], &mixed.join("theirs.mcap")], &folder.join("none"));
+    assert_eq!((ended.code, ended.stderr.contains("must all be recordings of holdfast")), (1, true));
+    let ended = estimate(&mixed.join("theirs.mcap"), &machine, &folder.join("none"));
+    assert_eq!((ended.code, ended.stderr.contains("is a ROS 2 bag")), (2, true), "{}", ended.stderr);
+    let ended = estimate(&session, &roof(), &folder.join("none"));
+    assert_eq!(
+        (ended.code, ended.stderr.contains("has no readings of walker-1")),
+        (2, true),
+        "{}",
+        ended.stderr
+    );
+    assert!(!folder.join("none").exists());
 }

@@ -79,9 +79,12 @@ impl Bags {
 fn bags_give_the_readings_that_went_into_them_to_the_bit() {
     let Some(bags) = Bags::new("carry-bags") else { return };
     let machine = machine_file(&bags.folder, "swing", "swing");
-    for (name, options) in
-        [("plain", vec![]), ("zstd", vec!["--compress", "zstd"]), ("pose", vec!["--lidar", "pose"])]
-    {
+    for (name, options) in [
+        ("plain", vec![]),
+        ("zstd", vec!["--compress", "zstd"]),
+        ("pose", vec!["--lidar", "pose"]),
+        ("covariance", vec!["--lidar", "covariance"]),
+    ] {
         let bag = bags.write(name, &options);
         let out = format!("{name}-csv");
         let ended = bags.import(&bag, &machine, &out);
@@ -125,7 +128,7 @@ fn what_is_wrong_with_a_bag_is_told_with_topic_and_message() {
             "late",
             3,
             1200,
-            "/cabin/imu: messages received more than 2 s before one above them: 1, first: message 1200",
+            "/cabin/imu: messages that came too late to be put in order: 1, first: message 1200",
         ),
         (
             "short",
@@ -211,12 +214,15 @@ fn exports_open_in_the_tools_of_others_and_agree() {
     let one = exports.join("one.tum");
     let ended = holdfast(&["export", text(&session.folder), "--machine", "walker-2", "--out", text(&one)]);
     assert_eq!(ended.code, 0, "{}", ended.stderr);
+    let published = folder.join("published.tum");
+    fs::write(&published, &session.tum["walker-2"]).expect("written");
     let poses = |machine: &str| session.tum[machine].lines().count();
     let expected = serde_json::json!({
         "machines": { "walker-1": poses("walker-1"), "walker-2": poses("walker-2") },
         "one": "walker-2",
         "origin": [47.480_140_2, 8.499_753_25, 474.9],
         "outages": { "walker-1": 1, "walker-2": 1 },
+        "published": published,
     });
     let path = folder.join("expected.json");
     let read = |expected: &serde_json::Value| {
@@ -232,6 +238,15 @@ fn exports_open_in_the_tools_of_others_and_agree() {
     let (code, errors) = read(&wrong);
     assert_eq!(code, Some(1));
     assert!(errors.contains("kml: places of walker-1 are off by 0.002"), "{errors}");
+    // Nor were these published: one of them 1 mm further to the east.
+    let mut lines: Vec<String> = session.tum["walker-2"].lines().map(str::to_owned).collect();
+    let mut words: Vec<String> = lines[500].split(' ').map(str::to_owned).collect();
+    words[1] = (words[1].parse::<f64>().expect("a number") + 1e-3).to_string();
+    lines[500] = words.join(" ");
+    fs::write(&published, lines.join("\n")).expect("written");
+    let (code, errors) = read(&expected);
+    assert_eq!(code, Some(1));
+    assert!(errors.contains("tum: translation_part to those published: max 0.001"), "{errors}");
 }
 
 #[test]

@@ -156,14 +156,37 @@ fn what_cannot_be_checked_is_told_with_its_cause() {
     for (name, keep, cause) in cases {
         let kept = recorded.iter().filter(|one| one.machine != "yard-1" || keep(one));
         let kept: Vec<Message> = kept.cloned().collect();
-        let ended = replay(&["--check"], &[&session(&format!("replay-{name}"), [&kept[..]])]);
+        let folder = session(&format!("replay-{name}"), [&kept[..]]);
+        let ended = replay(&["--check"], &[&folder]);
         assert_eq!(ended.code, 3, "{name}: {ended:?}");
         let told: Vec<&str> = ended.stdout.lines().filter(|line| line.contains("NOT CHECKED")).collect();
         let [told] = told[..] else { panic!("{name}: {}", ended.stdout) };
         assert!(told.contains("yard-1, boot ") && told.contains(cause), "{name}: {told}");
         assert!(!ended.stdout.contains("DIFFERS"), "{name}: {}", ended.stdout);
         assert!(count(&ended, "yard-2", "poses") >= 100, "{name}");
+        // Nor is it kept quiet where nothing is compared, if the run itself is concerned.
+        let ended = replay(&["--speed", "max"], &[&folder]);
+        let told: Vec<&str> = ended.stdout.lines().filter(|line| line.starts_with("NOT RUN: ")).collect();
+        if name == "pose" {
+            assert_eq!((ended.code, told.len()), (0, 0), "{name}: {ended:?}");
+        } else {
+            assert_eq!((ended.code, told.len()), (3, 1), "{name}: {ended:?}");
+            assert!(told[0].contains("yard-1, boot ") && told[0].contains(cause), "{name}: {}", told[0]);
+        }
     }
+}
+
+#[test]
+fn options_that_may_come_twice_leave_the_session_to_itself() {
+    let session = repository("tests/replay/outage");
+    let session = session.to_str().expect("text");
+    let ended = holdfast(&["replay", "--check", "--machine", "yard-1", session]);
+    assert_eq!((ended.code, ended.stdout.lines().count()), (0, 1), "{ended:?}");
+    let ended = holdfast(&["replay", "--machine", "yard-2", "--check", "--machine", "yard-1", session]);
+    assert_eq!((ended.code, ended.stdout.lines().count()), (0, 2), "{ended:?}");
+    let file = repository("tests/replay/yard-1.toml");
+    let ended = holdfast(&["replay", "--check", "--machine-file", file.to_str().expect("text"), session]);
+    assert_eq!((ended.code, ended.stdout.lines().count()), (0, 2), "{ended:?}");
 }
 
 #[test]
@@ -192,6 +215,9 @@ fn bad_arguments_are_refused() {
         (&["--check", "--speed", "2"][..], "max only"),
         (&["--check", "--machine", "yard-3"], "no machine yard-3, but: yard-1, yard-2"),
         (&["--speed", "0"], "0.01 to 1000"),
+        (&["--check", "--site", "tcp/127.0.0.1:7447"], "cannot be used with"),
+        (&["--check", "--site-id", "quarry"], "cannot be used with"),
+        (&["--speed", "max", "--site", "tcp/127.0.0.1:7447"], "speaks to no site"),
     ] {
         let ended = replay(arguments, &[&session]);
         assert_eq!(ended.code, 2, "{arguments:?}: {ended:?}");

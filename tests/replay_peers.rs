@@ -75,3 +75,38 @@ fn nobody_who_listens_is_a_failure() {
     assert_eq!(ended.code, 1, "{ended:?}");
     assert!(ended.stderr.contains("nobody at tcp/127.0.0.1:9 listens"), "{}", ended.stderr);
 }
+
+#[test]
+fn site_that_dies_is_a_failure() {
+    let data = empty_folder("replay-peers-dies");
+    let mut site = site(Path::new(env!("CARGO_BIN_EXE_holdfast")), &data, &data, Stdio::null());
+    let (_, endpoint) = site.addresses();
+    let session = repository("tests/replay/outage");
+    let replay = std::process::Command::new(env!("CARGO_BIN_EXE_holdfast"))
+        .args(["replay", session.to_str().expect("text"), "--speed", "4", "--site", &endpoint])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("starts");
+    // Some 26 s at four times real time; it dies in the middle of them, once something has come.
+    let recorded = || {
+        let sessions = std::fs::read_dir(data.join("sessions")).into_iter().flatten().flatten();
+        let files =
+            sessions.flat_map(|entry| std::fs::read_dir(entry.path()).into_iter().flatten().flatten());
+        let lengths = files.map(|file| file.metadata().map_or(0, |about| about.len()));
+        lengths.max().unwrap_or(0)
+    };
+    let begun = Instant::now();
+    while recorded() < 20_000 {
+        assert!(begun.elapsed() < Duration::from_secs(20), "nothing is recorded");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    // Dropped, it is killed.
+    drop(site);
+    let killed = Instant::now();
+    let ended = replay.wait_with_output().expect("ends");
+    let said = String::from_utf8_lossy(&ended.stderr);
+    assert_eq!(ended.status.code(), Some(1), "{said}");
+    assert!(said.contains(&format!("the site at {endpoint} went away")), "{said}");
+    assert!(killed.elapsed() < Duration::from_secs(4), "{:?} until it was seen", killed.elapsed());
+}

@@ -5,17 +5,19 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use super::progress::{Progress, Unit};
-use super::{Outcome, must_exist};
+use super::{BadArguments, Outcome, must_exist};
 use crate::config::{self, Machine};
-use crate::import::{log_folder_bytes, read_log_folder_showing};
-use crate::record::{self, read_arrivals_showing};
+use crate::export::Faults;
+use crate::import::{
+    Source, log_folder_bytes, read_log_folder_showing, read_recordings, recorded_machines, source_of,
+};
 use crate::replay::{Outputs, Summary};
 use crate::sensors::Arrival;
 
 /// Run the estimator over a log and write poses, events and a summary
 ///
 /// LOG is a folder of CSV files (imu.csv, gnss_left.csv, ...; all but imu.csv optional) or an MCAP recording
-/// of holdfast. Writes to DIR: world.tum, odom.tum and base_odom.tum (one pose for each IMU sample, as it would
+/// of holdfast, all files of a session or their folder. Writes to DIR: world.tum, odom.tum and base_odom.tum (one pose for each IMU sample, as it would
 /// have been published live), estimate.csv (with biases and standard deviations), events.jsonl, summary.json.
 /// The same log and machine file give the same bytes, times in summary.json apart. With --realtime there is also
 /// takeovers.csv: before which reading (of all sensors, counted from 0) the solution of which reading was taken
@@ -24,8 +26,9 @@ use crate::sensors::Arrival;
 /// Exit codes: 0 done, 1 failed, 2 bad arguments or machine file, 3 done, but some data was bad or lost.
 #[derive(Debug, clap::Args)]
 pub struct Arguments {
-    /// Log folder, or MCAP recording of holdfast
-    pub log: PathBuf,
+    /// Log folder, MCAP recordings of a session, or their folder
+    #[arg(required = true)]
+    pub log: Vec<PathBuf>,
     /// Machine file, such as config/machines/rtk-drive.toml
     #[arg(long, value_name = "TOML")]
     pub machine: PathBuf,
@@ -56,12 +59,13 @@ pub enum Method {
 /// The log or the machine file cannot be used, or a file cannot be written.
 pub fn run(arguments: Arguments) -> Result<Outcome, Box<dyn Error>> {
     let machine: Machine = config::load(&arguments.machine)?;
-    must_exist(&arguments.log)?;
+    arguments.log.iter().try_for_each(|log| must_exist(log))?;
     let (arrivals, lost_bytes) = read(&arguments.log, &machine)?;
     let begin = arrivals.first().map(|arrival| arrival.arrival);
     let end = arrivals.last().map(|arrival| arrival.arrival);
     let (Some(begin), Some(end)) = (begin, end) else {
-        return Err(format!("{}: has no readings of {}", arguments.log.display(), machine.id).into());
+        let message = format!("{}: has no readings of {}", arguments.log[0].display(), machine.id);
+        return Err(BadArguments(message).into());
     };
     let log_s = end.seconds_since(begin).max(1e-9);
     let mut outputs = Outputs::create(&arguments.out)?;
@@ -83,30 +87,38 @@ pub fn run(arguments: Arguments) -> Result<Outcome, Box<dyn Error>> {
         let waits_for = summary.health.waits_for.as_deref().unwrap_or("readings");
         return Err(format!("the estimate never started: it waits for {waits_for}").into());
     }
-    if lost_bytes > 0 {
-        eprintln!("{}: {lost_bytes} bytes could not be read", arguments.log.display());
-    }
+    let mut faults = Faults::default();
+    faults.note_lost(&arguments.log[0], lost_bytes);
+    eprint!("{faults}");
     Ok(if lost_bytes > 0 || summary.unfit_readings > 0 { Outcome::DataWasBad } else { Outcome::Done })
 }
 
 /// All readings of the machine in order of arrival, and how many bytes of the log were lost.
-fn read(log: &Path, machine: &Machine) -> Result<(Vec<Arrival>, u64), Box<dyn Error>> {
-    if log.is_dir() {
-        let whole = log_folder_bytes(log) as f64;
-        let mut bar = Progress::new("reading", Unit::Bytes);
-        return Ok((read_log_folder_showing(log, |bytes| bar.show(bytes as f64, whole))?.arrivals, 0));
-    }
-    let whole = std::fs::metadata(log).map_or(0, |file| file.len()) as f64;
+fn read(logs: &[PathBuf], machine: &Machine) -> Result<(Vec<Arrival>, u64), Box<dyn Error>> {
+    let log = logs[0].display();
     let mut bar = Progress::new("reading", Unit::Bytes);
-    let reader = read_arrivals_showing(log, &machine.id, |bytes| bar.show(bytes as f64, whole))?;
-    bar.finish();
-    let lost_bytes = reader.lost_bytes();
-    let arrivals: Vec<Arrival> = reader.collect::<Result<_, _>>()?;
-    if arrivals.is_empty() {
-        let known = record::machines(log)?.join(", ");
-        return Err(format!("{}: has no readings of {}, but of: {known}", log.display(), machine.id).into());
+    match source_of(logs)? {
+        Source::LogFolder(folder) => {
+            let whole = log_folder_bytes(&folder) as f64;
+            Ok((read_log_folder_showing(&folder, |bytes| bar.show(bytes as f64, whole))?.arrivals, 0))
+        }
+        Source::Bag(_) => {
+            Err(BadArguments(format!("{log}: is a ROS 2 bag, for import to read first")).into())
+        }
+        Source::Recordings(files) => {
+            let bytes = |file: &PathBuf| std::fs::metadata(file).map_or(0, |file| file.len());
+            let whole = files.iter().map(bytes).sum::<u64>() as f64;
+            let readings = read_recordings(&files, &machine.id, |bytes| bar.show(bytes as f64, whole))?;
+            bar.finish();
+            let arrivals: Vec<Arrival> = readings.arrivals.into_iter().collect::<Result<_, _>>()?;
+            if arrivals.is_empty() {
+                let known = recorded_machines(&files)?.join(", ");
+                let message = format!("{log}: has no readings of {}, but topics of: {known}", machine.id);
+                return Err(BadArguments(message).into());
+            }
+            Ok((arrivals, readings.lost_bytes))
+        }
     }
-    Ok((arrivals, lost_bytes))
 }
 
 fn report(summary: &Summary, out: &Path) {

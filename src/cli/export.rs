@@ -10,10 +10,13 @@ use super::progress::{Progress, Unit};
 use super::{BadArguments, Outcome, must_exist};
 use crate::config::{self, Machine};
 use crate::export::{
-    self, Faults, Format, Frame, Options, Outage, Spool, TrackPose, TrackWriter, Written, outages_of_events,
+    self, Faults, Format, Frame, Lack, Options, Outage, Spool, Target, TrackPose, TrackWriter, Written,
+    outages_of_events,
 };
 use crate::frames::geodesy::SiteFrame;
 use crate::import::TumReader;
+use crate::record::files_of;
+use crate::replay::Outputs;
 use crate::state::Event;
 use crate::time::Span;
 
@@ -49,7 +52,10 @@ pub struct Arguments {
     /// Machine file with the origin of the site frame
     #[arg(long, value_name = "TOML")]
     pub machine_file: Option<PathBuf>,
-    /// Which poses: in the site, or smooth ones in the machine's odom frame (of the chassis, where it is known)
+    /// Which poses: of the cabin IMU in the site, or smooth ones in the machine's odom frame
+    ///
+    /// Those in odom are of the chassis; of the cabin IMU where the machine, or the estimate all along, did not know
+    /// the chassis. They have no places in WGS84. A TUM file is of one frame, and this says of which.
     #[arg(long, value_enum, default_value_t = FrameChoice::World)]
     pub frame: FrameChoice,
     /// At most so many poses a second; by default all
@@ -63,8 +69,8 @@ pub struct Arguments {
 const FORMATS_AND_EXAMPLES: &str = "\
 Formats:
   tum      t x y z qx qy qz qw, for evo
-  csv      machine,t,x,y,z,qx,qy,qz,qw,gnss, and the place in WGS84 where the
-           origin is known
+  csv      machine,t,x,y,z,qx,qy,qz,qw,gnss; of poses in the site frame also
+           the place in WGS84, where the origin is known
   geojson  RFC 7946: a LineString for each stretch, with machine, start, end,
            gnss, coordTimes
   gpx      GPX 1.1: a track for each machine
@@ -100,11 +106,20 @@ pub fn run(arguments: Arguments) -> Result<Outcome, Box<dyn Error>> {
     }
     let machine: Option<Machine> = arguments.machine_file.as_deref().map(config::load).transpose()?;
     let site = machine.as_ref().map(|machine| machine.world.site_frame());
+    // The odom frame is not tied to the earth: its poses have no places, whatever else is known.
+    let site = site.filter(|_| arguments.frame == FrameChoice::World);
     let recordings = recordings(&arguments.input)?;
-    if let Some(input) =
-        arguments.input.iter().chain(&recordings).find(|input| is_same(input, &arguments.out))
-    {
-        return Err(bad(format!("{}: is what is exported, and would be overwritten", input.display())));
+    let of_estimate = arguments.input.iter().filter(|input| input.is_dir());
+    let of_estimate = of_estimate.flat_map(|folder| Outputs::FILES.map(|file| folder.join(file)));
+    let mut needed = arguments.input.iter().cloned().chain(recordings.clone()).chain(of_estimate);
+    if let Some(input) = needed.find(|input| is_same(input, &arguments.out)) {
+        return Err(bad(format!(
+            "{}: is part of what is exported, and would be overwritten",
+            input.display()
+        )));
+    }
+    if let Some(file) = arguments.machine_file.iter().find(|file| is_same(file, &arguments.out)) {
+        return Err(bad(format!("{}: is the machine file, and would be overwritten", file.display())));
     }
     let exported = if recordings.is_empty() {
         let name = arguments.machine.clone().or(machine.map(|machine| machine.id));
@@ -148,7 +163,11 @@ fn format(text: &str) -> Result<Format, String> {
 
 fn positive(text: &str) -> Result<f64, String> {
     let value: f64 = text.parse().map_err(|_| format!("\"{text}\" is not a number"))?;
-    if (1e-3..=1e6).contains(&value) { Ok(value) } else { Err("must be from 0.001 to 1000000".to_owned()) }
+    let range = Options::RANGE;
+    match range.contains(&value) {
+        true => Ok(value),
+        false => Err(format!("must be from {} to {}", range.start(), range.end())),
+    }
 }
 
 fn chosen_format(arguments: &Arguments) -> Result<Format, Box<dyn Error>> {
@@ -168,18 +187,12 @@ fn recordings(inputs: &[PathBuf]) -> Result<Vec<PathBuf>, Box<dyn Error>> {
     let mut files = Vec::new();
     for input in inputs {
         if input.is_dir() && !input.join("world.tum").exists() {
-            let before = files.len();
-            for entry in fs::read_dir(input).map_err(|error| format!("{}: {error}", input.display()))? {
-                let path = entry.map_err(|error| format!("{}: {error}", input.display()))?.path();
-                if is_mcap(&path) {
-                    files.push(path);
-                }
-            }
-            files[before..].sort();
-            if files.len() == before {
+            let found = files_of(input)?;
+            if found.is_empty() {
                 let message = "is no folder of estimate (world.tum), and has no recordings (.mcap)";
                 return Err(bad(format!("{}: {message}", input.display())));
             }
+            files.extend(found);
         } else if is_mcap(input) {
             files.push(input.clone());
         }
@@ -194,55 +207,21 @@ fn is_mcap(path: &Path) -> bool {
     path.extension().is_some_and(|end| end == "mcap")
 }
 
-/// The file beside the one that is written, whose place it takes when all is well: no half a file is left.
-struct Target {
-    out: PathBuf,
-    part: Option<PathBuf>,
-}
-
-impl Target {
-    fn open(out: &Path) -> Result<(Self, Box<dyn Write>), Box<dyn Error>> {
-        if out.as_os_str() == "-" {
-            let stdout = BufWriter::with_capacity(1 << 16, std::io::stdout());
-            return Ok((Self { out: out.to_owned(), part: None }, Box::new(stdout)));
-        }
-        if let Some(folder) = out.parent().filter(|folder| !folder.as_os_str().is_empty()) {
-            fs::create_dir_all(folder).map_err(|error| format!("{}: {error}", folder.display()))?;
-        }
-        let part = beside(out, "part");
-        let file = File::create(&part).map_err(|error| format!("{}: {error}", part.display()))?;
-        let writer = BufWriter::with_capacity(1 << 16, file);
-        Ok((Self { out: out.to_owned(), part: Some(part) }, Box::new(writer)))
+fn open(out: &Path) -> std::io::Result<(Option<Target>, Box<dyn Write>)> {
+    const BUFFER_BYTES: usize = 1 << 16;
+    if out.as_os_str() == "-" {
+        return Ok((None, Box::new(BufWriter::with_capacity(BUFFER_BYTES, std::io::stdout()))));
     }
-
-    fn keep(mut self) -> Result<(), Box<dyn Error>> {
-        if let Some(part) = self.part.take() {
-            fs::rename(&part, &self.out).map_err(|error| format!("{}: {error}", self.out.display()))?;
-        }
-        Ok(())
-    }
-}
-
-impl Drop for Target {
-    fn drop(&mut self) {
-        if let Some(part) = &self.part {
-            // What went wrong is told already.
-            let _ = fs::remove_file(part);
-        }
-    }
-}
-
-fn beside(out: &Path, end: &str) -> PathBuf {
-    let mut name = out.file_name().unwrap_or_default().to_owned();
-    name.push(format!(".{}.{end}", std::process::id()));
-    out.with_file_name(name)
+    let target = Target::of(out)?;
+    let file = target.open()?;
+    Ok((Some(target), Box::new(BufWriter::with_capacity(BUFFER_BYTES, file))))
 }
 
 fn begin(
     arguments: &Arguments,
     format: Format,
     site: Option<SiteFrame>,
-) -> Result<(Target, Writer), Box<dyn Error>> {
+) -> Result<(Option<Target>, Writer), Box<dyn Error>> {
     if format.needs_origin() && site.is_none() {
         let message = format!(
             "{} is in WGS84, and the input does not tell the origin of its frame: give --machine-file",
@@ -256,7 +235,7 @@ fn begin(
         gap: Span::from_seconds(arguments.gap),
         period: arguments.rate.map(|rate| Span::from_seconds(1.0 / rate)),
     };
-    let (target, out) = Target::open(&arguments.out)?;
+    let (target, out) = open(&arguments.out)?;
     Ok((target, TrackWriter::new(out, options)?))
 }
 
@@ -267,9 +246,13 @@ fn from_recordings(
     files: &[PathBuf],
 ) -> Result<(Written, Faults), Box<dyn Error>> {
     let whole: u64 = files.iter().filter_map(|file| fs::metadata(file).ok()).map(|file| file.len()).sum();
-    let scratch = match arguments.out.as_os_str() == "-" {
-        true => std::env::temp_dir().join(format!("holdfast-export.{}.scratch", std::process::id())),
-        false => beside(&arguments.out, "scratch"),
+    let end = format!("{}.scratch", std::process::id());
+    // Beside what is written, if that is on a disk.
+    let scratch = match &arguments.out {
+        out if out.as_os_str() == "-" || (out.exists() && !out.is_file()) => {
+            export::beside(&std::env::temp_dir().join("holdfast-export"), &end)
+        }
+        out => export::beside(out, &end),
     };
     let frame = match arguments.frame {
         FrameChoice::World => Frame::World,
@@ -283,48 +266,35 @@ fn from_recordings(
     let show = |bytes: u64| progress.show(bytes as f64, whole as f64);
     let mut gathered = export::gather(files, only, frame, Spool::new(scratch), show)?;
     progress.finish();
-    let machines = gathered.spool.machines();
+    let site = site.or(gathered.origin.map(SiteFrame::new));
     let first = files[0].display();
     let known = gathered.machines.join(", ");
-    if let Some(only) = only.filter(|only| !gathered.machines.iter().any(|known| known == only)) {
-        return Err(bad(format!("{first}: has no machine {only}, but: {known}")));
-    }
-    if machines.is_empty() {
-        eprint!("{}", gathered.faults);
-        let hint = "run estimate on it, and export its folder";
-        return Err(format!("{first}: has no poses, but topics of: {known}; {hint}").into());
-    }
-    if format.one_track() && machines.len() > 1 {
-        let ids: Vec<&str> = machines.iter().map(|(id, _)| id.as_str()).collect();
-        let message =
-            format!("a {} file takes one machine, choose with --machine: {}", format.name(), ids.join(", "));
-        return Err(bad(message));
-    }
-    let site = site.or(gathered.origin.map(SiteFrame::new));
-    let (target, mut writer) = begin(arguments, format, site)?;
-    let count: u64 = machines.iter().map(|(_, count)| count).sum();
-    let mut progress = Progress::new("writing", Unit::Count("poses"));
-    let mut done = 0_u64;
-    for (machine, _) in &machines {
-        writer.begin_track(machine, gathered.outages.remove(machine))?;
-        let repeats = gathered.spool.drain(machine, |pose| {
-            done += 1;
-            if done.is_multiple_of(4_096) {
-                progress.show(done as f64, count as f64);
-            }
-            writer.pose(pose)
-        })?;
-        if repeats.same > 0 {
-            eprintln!("{machine}: {} poses are in the recording twice, and were written once", repeats.same);
+    match gathered.lack(only, format, site.is_some()) {
+        // What is wrong with the origin is said in `begin`, as for other inputs.
+        None | Some(Lack::Origin) => {}
+        Some(Lack::Machine) => {
+            return Err(bad(format!("{first}: has no machine {}, but: {known}", only.unwrap_or_default())));
         }
-        let kind = format!("{machine}: poses with the stamp of another, which were left out");
-        gathered.faults.note_many(&kind, repeats.contradicting, || {
-            repeats.first_contradicting.map_or(String::new(), |stamp| format!("at {stamp}"))
-        });
+        Some(Lack::Poses) => {
+            eprint!("{}", gathered.faults);
+            let hint = "run estimate on it, and export its folder";
+            return Err(format!("{first}: has no poses, but topics of: {known}; {hint}").into());
+        }
+        Some(Lack::OneTrack(machines)) => {
+            let (format, ids) = (format.name(), machines.join(", "));
+            return Err(bad(format!("a {format} file takes one machine, choose with --machine: {ids}")));
+        }
     }
+    let (target, mut writer) = begin(arguments, format, site)?;
+    let count: u64 = gathered.spool.machines().iter().map(|(_, count)| count).sum();
+    let mut progress = Progress::new("writing", Unit::Count("poses"));
+    let twice = gathered.write_tracks(&mut writer, |done| progress.show(done as f64, count as f64))?;
     progress.finish();
+    for (machine, poses) in twice {
+        eprintln!("{machine}: {poses} poses are in the recording twice, and were written once");
+    }
     let (_, written) = writer.finish()?;
-    target.keep()?;
+    target.map_or(Ok(()), Target::keep)?;
     Ok((written, gathered.faults))
 }
 
@@ -337,8 +307,11 @@ fn from_tum(
     let input = &arguments.input[0];
     let mut faults = Faults::default();
     let (path, outages) = if input.is_dir() {
+        let has_poses = |name: &str| fs::metadata(input.join(name)).is_ok_and(|file| file.len() > 0);
         let name = match arguments.frame {
             FrameChoice::World => "world.tum",
+            // Of the chassis, as a machine publishes it, if it was ever known.
+            FrameChoice::Odom if has_poses("base_odom.tum") => "base_odom.tum",
             FrameChoice::Odom => "odom.tum",
         };
         (input.join(name), outages_in(&input.join("events.jsonl"), &mut faults)?)
@@ -355,18 +328,24 @@ fn from_tum(
     while let Some(pose) = poses.next() {
         let pose = pose?;
         progress.show(poses.bytes_read() as f64, whole as f64);
-        writer.pose(&TrackPose {
+        let pose = TrackPose {
             stamp: pose.stamp,
             position: pose.pose.translation,
             quaternion_xyzw: pose.pose.rotation.to_xyzw(),
-        })?;
+        };
+        if pose.is_fit() {
+            writer.pose(&pose)?;
+        } else {
+            let kind = format!("{}: poses that are nowhere on the earth", path.display());
+            faults.note(&kind, || format!("at {}", pose.stamp));
+        }
     }
     progress.finish();
     let (_, written) = writer.finish()?;
     if written.poses == 0 {
         return Err(format!("{}: has no poses", path.display()).into());
     }
-    target.keep()?;
+    target.map_or(Ok(()), Target::keep)?;
     Ok((written, faults))
 }
 

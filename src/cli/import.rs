@@ -7,27 +7,29 @@ use std::path::{Path, PathBuf};
 use super::progress::{Progress, Unit};
 use super::{BadArguments, Outcome, must_exist};
 use crate::config::{self, Machine};
-use crate::export::{Faults, ReadingsError, ReadingsWriter, Whose};
+use crate::export::{Faults, ReadingsError, ReadingsWriter, Whose, log_file};
 use crate::import::{self, ArrivalTime, Bag, Checks, Source};
-use crate::record::{self, read_arrivals_showing};
+use crate::record;
 use crate::sensors::{Arrival, Sensor};
 
 /// Turn CSV logs and ROS 2 bags into a recording or a log folder
 ///
 /// SOURCE is a ROS 2 bag in MCAP (a folder with metadata.yaml, or a single .mcap file), a folder of CSV files
-/// (imu.csv, gnss_left.csv, ...), or a recording of holdfast, of which the readings of one machine are taken.
+/// (imu.csv, gnss_left.csv, ...), or a recording of holdfast, of which the readings of one machine are taken: a file,
+/// or all files of a session or their folder, whose messages are put in the order in which the machine had them.
 /// estimate reads what comes out.
 ///
 /// Nothing is lost silently: messages that cannot be used, numbers that cannot be a measurement, clocks that go
 /// back and torn files are counted by topic, with the first case of each. Numbers and stamps are handed on as
-/// they are; the estimator refuses them for itself.
+/// they are; the estimator refuses them for itself. What is at OUT stays as it is until all is written.
 ///
-/// Exit codes: 0 done, 1 failed, 2 bad arguments or machine file, 3 done, but some data was bad or lost.
+/// Exit codes: 0 done, 1 failed, 2 bad arguments or machine file, or nothing to import, 3 done, but some data was bad or lost.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = TOPICS_AND_EXAMPLES)]
 pub struct Arguments {
-    /// Bag, log folder or recording
-    pub source: PathBuf,
+    /// Bag, log folder, or recordings of a session
+    #[arg(required = true)]
+    pub source: Vec<PathBuf>,
     /// Machine file: whose readings they are, and where they are in a bag
     #[arg(long, value_name = "TOML")]
     pub machine: PathBuf,
@@ -47,7 +49,8 @@ The machine file says where the readings are in a bag, for those that it has:
   gnss_left = \"/gnss/left/fix\"        # sensor_msgs/msg/NavSatFix
   gnss_right = \"/gnss/right/fix\"      # the same, both with covariances
   lidar_odometry = \"/lidar/odometry\"  # nav_msgs/msg/Odometry, or
-                                        # geometry_msgs/msg/PoseStamped
+                                        # geometry_msgs/msg/PoseStamped, or
+                                        # .../PoseWithCovarianceStamped
   cabin_turn = \"/joint_states\"        # sensor_msgs/msg/JointState,
   cabin_turn_joint = \"cabin_turn\"     # and which of its joints
 Without [topics] they are /ID/sensor/imu and so on, as in recordings.
@@ -71,58 +74,52 @@ pub enum Arrived {
 /// # Errors
 /// The source or the machine file cannot be used, or the result cannot be written.
 pub fn run(arguments: Arguments) -> Result<Outcome, Box<dyn Error>> {
-    let Arguments { source, out, .. } = &arguments;
+    let Arguments { source: paths, out, .. } = &arguments;
     let machine: Machine = config::load(&arguments.machine)?;
-    must_exist(source)?;
-    if is_same(source, out) {
-        let message = format!("{}: is what is imported, and would be overwritten", out.display());
-        return Err(BadArguments(message).into());
-    }
-    let kind = import::source_of(source)?;
+    paths.iter().try_for_each(|path| must_exist(path))?;
+    let source = import::source_of(paths)?;
+    refuse_to_overwrite(&source, paths, out)?;
     let mut checks = Checks::default();
     let mut faults = Faults::default();
-    let sink = Sink { out, machine: &machine, source, writer: None };
-    match kind {
-        Source::Bag => from_bag(&arguments, &machine, sink, &mut checks, &mut faults)?,
-        Source::LogFolder => {
-            let whole = import::log_folder_bytes(source) as f64;
+    let whose = Whose {
+        machine: machine.id.clone(),
+        site: machine.link.site.clone(),
+        origin: machine.world.site_frame().origin(),
+        source: paths[0].file_name().unwrap_or_default().to_string_lossy().into_owned(),
+    };
+    let sink = Sink { out, whose, writer: None };
+    let name = &paths[0];
+    match &source {
+        Source::Bag(bag) => from_bag(bag, &arguments, &machine, sink, &mut checks, &mut faults)?,
+        Source::LogFolder(folder) => {
+            let whole = import::log_folder_bytes(folder) as f64;
             let mut progress = Progress::new("reading", Unit::Bytes);
-            let log = import::read_log_folder_showing(source, |bytes| progress.show(bytes as f64, whole))?;
+            let log = import::read_log_folder_showing(folder, |bytes| progress.show(bytes as f64, whole))?;
             progress.finish();
-            write_all(
-                log.arrivals.into_iter().map(Ok::<_, record::RecordError>),
-                sink,
-                &mut checks,
-                &mut faults,
-                source,
-            )?;
+            let arrivals = log.arrivals.into_iter().map(Ok::<_, record::RecordError>);
+            write_all(arrivals, sink, &mut checks, &mut faults, name)?;
         }
-        Source::Recording => {
-            let whole = fs::metadata(source).map_or(0, |file| file.len()) as f64;
+        Source::Recordings(files) => {
+            let whole: u64 = files.iter().map(|file| fs::metadata(file).map_or(0, |file| file.len())).sum();
             let mut progress = Progress::new("reading", Unit::Bytes);
-            let show = |bytes: u64| progress.show(bytes as f64, whole);
-            let arrivals = read_arrivals_showing(source, &machine.id, show)?;
+            let show = |bytes: u64| progress.show(bytes as f64, whole as f64);
+            let readings = import::read_recordings(files, &machine.id, show)?;
             progress.finish();
-            let lost = arrivals.lost_bytes();
-            let kind = format!("{}: bytes that are torn off or damaged", source.display());
-            faults
-                .note_many(&kind, lost, || "the file was not closed, or a chunk fails its check".to_owned());
-            write_all(arrivals, sink, &mut checks, &mut faults, source)?;
+            faults.note_lost(name, readings.lost_bytes);
+            write_all(readings.arrivals.into_iter(), sink, &mut checks, &mut faults, name)?;
             if checks.total() == 0 {
-                let known = record::machines(source)?.join(", ");
-                let message = format!(
-                    "{}: has no readings of {}, but topics of: {known}",
-                    source.display(),
-                    machine.id
-                );
+                let known = import::recorded_machines(files)?.join(", ");
+                let id = &machine.id;
+                let message = format!("{}: has no readings of {id}, but topics of: {known}", name.display());
                 return Err(BadArguments(message).into());
             }
         }
     }
     if checks.total() == 0 {
-        return Err(format!("{}: has no readings", source.display()).into());
+        return Err(BadArguments(format!("{}: has no readings", name.display())).into());
     }
-    for sensor in Sensor::ALL.into_iter().filter(|sensor| kind != Source::Bag && checks.count(*sensor) > 0) {
+    let is_bag = matches!(source, Source::Bag(_));
+    for sensor in Sensor::ALL.into_iter().filter(|sensor| !is_bag && checks.count(*sensor) > 0) {
         println!("{sensor}: {} readings", checks.count(sensor));
     }
     let seconds = checks.span().map_or(0.0, |(first, last)| last.seconds_since(first));
@@ -132,14 +129,33 @@ pub fn run(arguments: Arguments) -> Result<Outcome, Box<dyn Error>> {
     Ok(if bad { Outcome::DataWasBad } else { Outcome::Done })
 }
 
+/// Neither what is named nor any file of it may be where the readings go.
+fn refuse_to_overwrite(source: &Source, paths: &[PathBuf], out: &Path) -> Result<(), Box<dyn Error>> {
+    let mut read = source.files()?;
+    read.extend_from_slice(paths);
+    let mut written = vec![out.to_owned()];
+    if out.is_dir() {
+        written.extend(Sensor::ALL.map(|sensor| log_file(out, sensor)));
+    }
+    match read.iter().find(|file| written.iter().any(|out| is_same(file, out))) {
+        Some(file) => {
+            let message =
+                format!("{}: is part of what is imported, and would be overwritten", file.display());
+            Err(BadArguments(message).into())
+        }
+        None => Ok(()),
+    }
+}
+
 fn from_bag(
+    path: &Path,
     arguments: &Arguments,
     machine: &Machine,
     mut sink: Sink<'_>,
     checks: &mut Checks,
     faults: &mut Faults,
 ) -> Result<(), Box<dyn Error>> {
-    let bag = Bag::open(&arguments.source, &machine.topics, &machine.id)?;
+    let bag = Bag::open(path, &machine.topics, &machine.id)?;
     let arrival_time = match arguments.arrival {
         Arrived::Received => ArrivalTime::Received,
         Arrived::Stamped => ArrivalTime::Stamped,
@@ -201,8 +217,7 @@ fn write_all<E: Error + 'static>(
 /// Makes its file with the first reading, so that a source without any leaves nothing behind.
 struct Sink<'a> {
     out: &'a Path,
-    machine: &'a Machine,
-    source: &'a Path,
+    whose: Whose,
     writer: Option<ReadingsWriter>,
 }
 
@@ -210,15 +225,7 @@ impl Sink<'_> {
     fn write(&mut self, arrival: &Arrival) -> Result<(), ReadingsError> {
         let writer = match &mut self.writer {
             Some(writer) => writer,
-            None => {
-                let whose = Whose {
-                    machine: self.machine.id.clone(),
-                    site: self.machine.link.site.clone(),
-                    origin: self.machine.world.site_frame().origin(),
-                    source: self.source.file_name().unwrap_or_default().to_string_lossy().into_owned(),
-                };
-                self.writer.insert(ReadingsWriter::create(self.out, &whose)?)
-            }
+            None => self.writer.insert(ReadingsWriter::create(self.out, &self.whose)?),
         };
         writer.write(arrival)
     }

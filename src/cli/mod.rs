@@ -32,6 +32,7 @@ use std::process::ExitCode;
 use clap::Parser;
 
 use crate::config::{ConfigError, Violation};
+use crate::import::ImportError;
 #[cfg(feature = "shells")]
 use crate::machine::{MachineError, SourceError};
 
@@ -127,6 +128,9 @@ fn exit_code(error: &(dyn Error + 'static)) -> ExitCode {
     while let Some(error) = cause {
         #[cfg(feature = "shells")]
         if let Some(MachineError::Source(SourceError::NotRecorded { .. })) = error.downcast_ref() {
+            return ExitCode::from(2);
+        }
+        if let Some(ImportError::Nothing { .. }) = error.downcast_ref() {
             return ExitCode::from(2);
         }
         if error.is::<ConfigError>() || error.is::<Violation>() || error.is::<BadArguments>() {

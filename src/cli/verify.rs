@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use super::progress::{Progress, Unit};
 use super::{BadArguments, Outcome, must_exist};
-use crate::record::{Checker, FileState, Missing, RecordError, Stream};
+use crate::record::{Checker, FileState, Missing, RecordError, Stream, files_of};
 
 /// Check recordings: checksums, indexes and counts of each file, and gaps in the numbers of the messages
 ///
@@ -111,21 +111,16 @@ fn machines(ids: &[String]) -> String {
         ids => ids.join(", "),
     }
 }
+
 /// The files at a path, those of a session together.
 fn sessions_at(path: &Path) -> Result<Vec<Vec<PathBuf>>, Box<dyn Error>> {
-    if !path.is_dir() {
-        return Ok(vec![vec![path.to_owned()]]);
-    }
-    let entries = |folder: &Path| -> Result<BTreeSet<PathBuf>, Box<dyn Error>> {
-        let read = || fs::read_dir(folder)?.map(|entry| Ok(entry?.path())).collect::<std::io::Result<_>>();
-        read().map_err(|error| format!("{}: {error}", folder.display()).into())
-    };
-    let is_recording = |path: &PathBuf| path.extension().is_some_and(|ending| ending == "mcap");
-    let mut sessions = Vec::new();
-    let (folders, files): (Vec<_>, Vec<_>) = entries(path)?.into_iter().partition(|entry| entry.is_dir());
-    sessions.push(files.into_iter().filter(is_recording).collect::<Vec<_>>());
-    for folder in folders {
-        sessions.push(entries(&folder)?.into_iter().filter(is_recording).collect());
+    let mut sessions = vec![files_of(path)?];
+    if path.is_dir() {
+        let entries = || fs::read_dir(path)?.map(|entry| Ok(entry?.path())).collect::<std::io::Result<_>>();
+        let entries: BTreeSet<PathBuf> = entries().map_err(|error| format!("{}: {error}", path.display()))?;
+        for folder in entries.iter().filter(|entry| entry.is_dir()) {
+            sessions.push(files_of(folder)?);
+        }
     }
     sessions.retain(|files| !files.is_empty());
     Ok(sessions)

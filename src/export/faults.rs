@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fmt;
+use std::path::Path;
 
 /// Kinds of faults, how many there were of each, and the first of them.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -27,6 +28,12 @@ impl Faults {
                 self.kinds.insert(kind.to_owned(), (count, first()));
             }
         }
+    }
+
+    /// Counts bytes of a file that could not be read.
+    pub fn note_lost(&mut self, path: &Path, bytes: u64) {
+        let kind = format!("{}: bytes that are torn off or damaged", path.display());
+        self.note_many(&kind, bytes, || "it was not closed, or a chunk fails its check".to_owned());
     }
 
     /// Nothing was wrong.

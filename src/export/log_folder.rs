@@ -4,7 +4,7 @@ use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-use super::about;
+use super::{Target, about};
 use crate::lie::Vec3;
 use crate::sensors::{Arrival, GnssFix, ImuSample, Reading, Sensor};
 
@@ -17,27 +17,20 @@ const LIDAR_HEADER: &str = "t_arrival,t,x,y,z,qx,qy,qz,qw";
 /// Columns of the encoder's file.
 const CABIN_TURN_HEADER: &str = "t_arrival,t,angle";
 
-/// Writes readings into a log folder; a file is made when its first reading comes.
+/// Writes readings into a log folder; what is there is overwritten by [`LogFolderWriter::finish`], and not before.
 #[derive(Debug)]
 pub struct LogFolderWriter {
     directory: PathBuf,
-    files: [Option<BufWriter<File>>; Sensor::ALL.len()],
+    files: [Option<(Target, BufWriter<File>)>; Sensor::ALL.len()],
 }
 
 impl LogFolderWriter {
-    /// Makes the folder if it is not there, and removes what an earlier log left in its files.
+    /// Makes the folder if it is not there.
     ///
     /// # Errors
-    /// The folder cannot be made, or an old file cannot be removed.
+    /// The folder cannot be made.
     pub fn create(directory: &Path) -> io::Result<Self> {
         fs::create_dir_all(directory).map_err(|error| about(directory, error))?;
-        for sensor in Sensor::ALL {
-            let path = log_file(directory, sensor);
-            match fs::remove_file(&path) {
-                Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(about(&path, error)),
-                _ => {}
-            }
-        }
         Ok(Self { directory: directory.to_owned(), files: Default::default() })
     }
 
@@ -50,24 +43,35 @@ impl LogFolderWriter {
         let path = || log_file(&self.directory, sensor);
         let slot = &mut self.files[sensor as usize];
         let file = match slot {
-            Some(file) => file,
+            Some((_, file)) => file,
             None => {
-                let mut file = BufWriter::new(File::create(path()).map_err(|error| about(&path(), error))?);
+                let target = Target::of(&path())?;
+                let mut file = BufWriter::new(target.open()?);
                 writeln!(file, "{}", header(sensor)).map_err(|error| about(&path(), error))?;
-                slot.insert(file)
+                &mut slot.insert((target, file)).1
             }
         };
         write_row(file, arrival).map_err(|error| about(&path(), error))
     }
 
-    /// Hands everything to the system.
+    /// Puts all files in their places, and removes those that an earlier log has left beside them.
     ///
     /// # Errors
-    /// A file cannot be written.
+    /// A file cannot be written, or an old one cannot be removed.
     pub fn finish(mut self) -> io::Result<()> {
         for (file, sensor) in self.files.iter_mut().zip(Sensor::ALL) {
-            if let Some(file) = file {
+            if let Some((_, file)) = file {
                 file.flush().map_err(|error| about(&log_file(&self.directory, sensor), error))?;
+            }
+        }
+        for (file, sensor) in self.files.into_iter().zip(Sensor::ALL) {
+            let path = log_file(&self.directory, sensor);
+            match file {
+                Some((target, _)) => target.keep()?,
+                None => match fs::remove_file(&path) {
+                    Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(about(&path, error)),
+                    _ => {}
+                },
             }
         }
         Ok(())

@@ -2,8 +2,11 @@
 //!
 //! Stamps are written with nine decimals and numbers in their shortest exact form, so that the room
 //! `import` reads back what was written, bit for bit. Formats for maps are in WGS84 degrees, heights above its
-//! ellipsoid. What is written, and when, is the caller's business; what is read for it goes through in one pass
-//! with bounded memory.
+//! ellipsoid. What is written, and when, is the caller's business, and what was there stays until the new is whole.
+//!
+//! Memory is bounded for poses, whatever their number: a segment of a track, and what the spool holds. It is not for
+//! events and outages, of which all are held, nor in a list of topics; nor does that speak for readings, which the
+//! caller brings.
 
 mod faults;
 mod geojson;
@@ -14,6 +17,7 @@ mod plain;
 mod readings;
 mod recording;
 mod spool;
+mod target;
 mod track;
 
 #[cfg(test)]
@@ -25,8 +29,9 @@ use std::path::Path;
 pub use faults::Faults;
 pub use log_folder::{LogFolderWriter, header, log_file, write_row};
 pub use readings::{ReadingsError, ReadingsWriter, Whose};
-pub use recording::{Frame, GatherError, Gathered, gather, outages_of_events};
+pub use recording::{Frame, GatherError, Gathered, Lack, gather, outages_of_events};
 pub use spool::{Repeats, Spool};
+pub use target::{Target, beside};
 pub use track::{Format, Options, Outage, TrackPose, TrackWriter, Written};
 
 use crate::lie::Se3;

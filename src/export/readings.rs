@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::io;
 use std::path::Path;
 
-use super::{LogFolderWriter, about};
+use super::{LogFolderWriter, Target, about};
 use crate::frames::geodesy::Geodetic;
 use crate::record::{RecordError, RecordWriter, Recorded, SITE};
 use crate::sensors::{Arrival, Sensor};
@@ -23,12 +23,17 @@ pub struct Whose {
     pub source: String,
 }
 
-/// Writes readings; see [`ReadingsWriter::create`].
-pub struct ReadingsWriter(Target);
+/// Writes readings; see [`ReadingsWriter::create`]. What was there stays until [`ReadingsWriter::finish`].
+pub struct ReadingsWriter(Into);
 
-enum Target {
-    Folder(LogFolderWriter),
-    Recording { writer: Box<RecordWriter>, machine: String, sequences: [u64; Sensor::ALL.len()] },
+enum Into {
+    Folder(Box<LogFolderWriter>),
+    Recording {
+        target: Target,
+        writer: Box<RecordWriter>,
+        machine: String,
+        sequences: [u64; Sensor::ALL.len()],
+    },
 }
 
 /// Why readings cannot be written.
@@ -49,12 +54,14 @@ impl ReadingsWriter {
     /// [`ReadingsError`] if that fails.
     pub fn create(out: &Path, whose: &Whose) -> Result<Self, ReadingsError> {
         if out.extension().is_none_or(|extension| extension != "mcap") {
-            return Ok(Self(Target::Folder(LogFolderWriter::create(out)?)));
+            return Ok(Self(Into::Folder(Box::new(LogFolderWriter::create(out)?))));
         }
-        if let Some(folder) = out.parent().filter(|folder| !folder.as_os_str().is_empty()) {
-            std::fs::create_dir_all(folder).map_err(|error| about(folder, error))?;
+        let target = Target::of(out)?;
+        if target.is_special() {
+            let error = io::Error::other("is no regular file: a recording needs one");
+            return Err(about(out, error).into());
         }
-        let mut writer = RecordWriter::create(out)?;
+        let mut writer = RecordWriter::create(target.place())?;
         let entries = |pairs: &[(&str, String)]| -> BTreeMap<String, String> {
             pairs.iter().map(|(key, value)| ((*key).to_owned(), value.clone())).collect()
         };
@@ -73,7 +80,8 @@ impl ReadingsWriter {
         let import = [("machine", whose.machine.clone()), ("source", whose.source.clone()), software];
         writer.write_metadata("holdfast.import", entries(&import))?;
         let machine = whose.machine.clone();
-        Ok(Self(Target::Recording { writer: Box::new(writer), machine, sequences: Default::default() }))
+        let (writer, sequences) = (Box::new(writer), Default::default());
+        Ok(Self(Into::Recording { target, writer, machine, sequences }))
     }
 
     /// Adds a reading.
@@ -82,8 +90,8 @@ impl ReadingsWriter {
     /// [`ReadingsError`] if it cannot be written.
     pub fn write(&mut self, arrival: &Arrival) -> Result<(), ReadingsError> {
         match &mut self.0 {
-            Target::Folder(writer) => writer.write(arrival)?,
-            Target::Recording { writer, machine, sequences } => {
+            Into::Folder(writer) => writer.write(arrival)?,
+            Into::Recording { writer, machine, sequences, .. } => {
                 let sensor = arrival.reading.sensor();
                 let sequence = &mut sequences[sensor as usize];
                 writer.write(&Recorded {
@@ -107,9 +115,10 @@ impl ReadingsWriter {
     /// [`ReadingsError`] if it cannot be written.
     pub fn finish(self) -> Result<(), ReadingsError> {
         match self.0 {
-            Target::Folder(writer) => writer.finish()?,
-            Target::Recording { writer, .. } => {
+            Into::Folder(writer) => writer.finish()?,
+            Into::Recording { target, writer, .. } => {
                 writer.finish()?;
+                target.keep()?;
             }
         }
         Ok(())

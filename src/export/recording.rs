@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use super::{Faults, Outage, Spool, TrackPose};
+use super::{Faults, Format, Outage, Spool, TrackPose, TrackWriter};
 use crate::frames::geodesy::Geodetic;
 use crate::record::{self, AnyMessage, RecordError, read_any};
 use crate::state::{Event, EventKind};
@@ -29,12 +29,25 @@ pub struct Gathered {
     pub spool: Spool,
     /// The GNSS outages of each machine whose events or health were recorded, in their order.
     pub outages: BTreeMap<String, Vec<Outage>>,
-    /// Origin of the site frame, where the recording tells it.
+    /// Origin of the site frame, where the recording tells it and the poses are in that frame.
     pub origin: Option<Geodetic>,
     /// The machines that have any topic in the files, sorted.
     pub machines: Vec<String>,
     /// What could not be used.
     pub faults: Faults,
+}
+
+/// Why poses that were gathered cannot be written as they were asked for.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Lack {
+    /// The machine that was asked for has no topic in the files.
+    Machine,
+    /// There are no poses.
+    Poses,
+    /// The format takes one track, and there are these machines.
+    OneTrack(Vec<String>),
+    /// The format needs the origin of the site, and the files do not tell it.
+    Origin,
 }
 
 /// Why a recording's poses cannot be had.
@@ -70,7 +83,10 @@ pub fn gather(
     };
     let mut bytes_before = 0;
     for path in paths {
-        gathered.take_origin(path)?;
+        // The odom frame is not tied to the earth: its poses have no places.
+        if frame == Frame::World {
+            gathered.take_origin(path)?;
+        }
         for channel in record::channels(path)?.0 {
             gathered.machines.extend(channel.ours().map(|(machine, _)| machine.to_owned()));
         }
@@ -116,11 +132,7 @@ pub fn gather(
                 },
             }
         }
-        let lost = messages.lost_bytes();
-        let kind = format!("{}: bytes that are torn off or damaged", path.display());
-        gathered
-            .faults
-            .note_many(&kind, lost, || "the file was not closed, or a chunk fails its check".to_owned());
+        gathered.faults.note_lost(path, messages.lost_bytes());
         bytes_before += messages.bytes_read();
         progress(bytes_before);
     }
@@ -133,6 +145,55 @@ pub fn gather(
 }
 
 impl Gathered {
+    /// What is missing for a file of that format of `machine`, or of all of them.
+    pub fn lack(&self, machine: Option<&str>, format: Format, has_origin: bool) -> Option<Lack> {
+        if machine.is_some_and(|wanted| !self.machines.iter().any(|known| known == wanted)) {
+            return Some(Lack::Machine);
+        }
+        let tracks = self.spool.machines();
+        match tracks.len() {
+            0 => Some(Lack::Poses),
+            1 => None,
+            _ if format.one_track() => {
+                Some(Lack::OneTrack(tracks.into_iter().map(|(machine, _)| machine).collect()))
+            }
+            _ => None,
+        }
+        .or_else(|| (format.needs_origin() && !has_origin).then_some(Lack::Origin))
+    }
+
+    /// Writes a track for each machine that has poses, and forgets them; `progress` hears now and then how many
+    /// poses are done. Those that contradict one of the same stamp are left out, and noted as faults. Gives back
+    /// how many were there twice, by machine.
+    ///
+    /// # Errors
+    /// What the writer says, or the scratch file.
+    pub fn write_tracks<W: io::Write>(
+        &mut self,
+        writer: &mut TrackWriter<W>,
+        mut progress: impl FnMut(u64),
+    ) -> io::Result<BTreeMap<String, u64>> {
+        let (mut done, mut twice) = (0_u64, BTreeMap::new());
+        for (machine, _) in self.spool.machines() {
+            writer.begin_track(&machine, self.outages.remove(&machine))?;
+            let repeats = self.spool.drain(&machine, |pose| {
+                done += 1;
+                if done.is_multiple_of(PROGRESS_EVERY) {
+                    progress(done);
+                }
+                writer.pose(pose)
+            })?;
+            let kind = format!("{machine}: poses with the stamp of another, which were left out");
+            self.faults.note_many(&kind, repeats.contradicting, || {
+                repeats.first_contradicting.map_or(String::new(), |stamp| format!("at {stamp}"))
+            });
+            if repeats.same > 0 {
+                twice.insert(machine, repeats.same);
+            }
+        }
+        Ok(twice)
+    }
+
     fn take_origin(&mut self, path: &Path) -> Result<(), RecordError> {
         let Some(site) = record::metadata(path, record::SITE)? else { return Ok(()) };
         let number = |key: &str| site.get(key).and_then(|value| value.parse::<f64>().ok());

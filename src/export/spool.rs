@@ -22,6 +22,7 @@ pub struct Spool {
     scratch: PathBuf,
     file: Option<File>,
     spilled: u64,
+    spilled_max: u64,
     limit: usize,
     held: usize,
     tracks: BTreeMap<String, Track>,
@@ -52,14 +53,29 @@ pub struct Repeats {
 }
 
 impl Spool {
-    /// `scratch` is a file that may be made, and overwritten, if there are many poses: a name on a disk with room.
+    /// `scratch` is a file that may be made if there are many poses: a name on a disk with room, of nothing that is
+    /// there.
     pub fn new(scratch: PathBuf) -> Self {
         Self::with_limit(scratch, POSES_HELD)
     }
 
     /// The same with at most `limit` poses in memory.
     pub fn with_limit(scratch: PathBuf, limit: usize) -> Self {
-        Self { scratch, file: None, spilled: 0, limit: limit.max(1), held: 0, tracks: BTreeMap::new() }
+        Self {
+            scratch,
+            file: None,
+            spilled: 0,
+            spilled_max: u64::MAX,
+            limit: limit.max(1),
+            held: 0,
+            tracks: BTreeMap::new(),
+        }
+    }
+
+    /// The same with so many bytes of the scratch file at most: more is refused as [`io::ErrorKind::QuotaExceeded`].
+    #[must_use]
+    pub fn with_scratch_max(self, bytes: u64) -> Self {
+        Self { spilled_max: bytes / RECORD_BYTES as u64, ..self }
     }
 
     /// Adds a pose of a machine.
@@ -140,11 +156,15 @@ impl Spool {
 
     /// Moves all that is held into the scratch file, sorted.
     fn spill(&mut self) -> io::Result<()> {
+        if self.spilled + self.held as u64 > self.spilled_max {
+            return Err(io::ErrorKind::QuotaExceeded.into());
+        }
         let file = match &mut self.file {
             Some(file) => file,
             None => {
                 let mut options = OpenOptions::new();
-                options.read(true).write(true).create(true).truncate(true);
+                // Others write to folders such as /tmp, too: what is there is none of ours.
+                options.read(true).write(true).create_new(true);
                 let file = options.open(&self.scratch)?;
                 // Without a name it is gone with the process, however that ends.
                 fs::remove_file(&self.scratch)?;

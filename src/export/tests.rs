@@ -154,6 +154,39 @@ fn scratch(name: &str) -> PathBuf {
 }
 
 #[test]
+fn scratch_file_is_none_that_is_there() {
+    let path = scratch("taken");
+    std::fs::write(&path, "of another").expect("written");
+    let mut spool = Spool::with_limit(path.clone(), 1);
+    spool.push("a", pose(0)).expect("held");
+    let error = spool.push("a", pose(1)).expect_err("the name is taken");
+    assert_eq!(error.kind(), io::ErrorKind::AlreadyExists);
+    assert_eq!(std::fs::read(&path).expect("there"), b"of another");
+    std::fs::remove_file(&path).expect("removed");
+}
+
+#[test]
+fn scratch_file_is_bounded() {
+    let mut spool = Spool::with_limit(scratch("bounded"), 10).with_scratch_max(20 * 64);
+    (0..30).for_each(|ms| spool.push("a", pose(ms)).expect("held, and spilled twice"));
+    assert_eq!(spool.spilled(), 20);
+    let error = spool.push("a", pose(30)).expect_err("the scratch file is full");
+    assert_eq!(error.kind(), io::ErrorKind::QuotaExceeded);
+}
+
+#[test]
+fn pose_that_is_nowhere_on_the_earth_is_unfit() {
+    let good = pose(0);
+    assert!(good.is_fit());
+    for x in [f64::NAN, f64::INFINITY, 1e300, -2.1e7] {
+        assert!(!TrackPose { position: Vec3::new(0.0, x, 0.0), ..good }.is_fit(), "{x}");
+    }
+    for x in [f64::NAN, 0.0, 1e-3, 2.0, 1e300] {
+        assert!(!TrackPose { quaternion_xyzw: [0.0, x, 0.0, 0.0], ..good }.is_fit(), "{x}");
+    }
+}
+
+#[test]
 fn spool_sorts_what_comes_mixed_the_same_in_memory_and_on_disk() {
     // Two machines; the second tenth of b comes late, c is there twice, and contradicts itself once.
     let mut coming: Vec<(&str, TrackPose)> = Vec::new();

@@ -13,6 +13,10 @@ use crate::time::{Span, Stamp};
 
 /// A segment of more poses is cut, so that memory is bounded and readers get lines that they can draw.
 const SEGMENT_POSES_MAX: usize = 50_000;
+/// No machine is so far from the origin of its frame, m: half around the earth.
+const POSITION_MAX_M: f64 = 2.0e7;
+/// A quaternion whose length is off by more is no rotation with rounded digits.
+const LENGTH_OFF_MAX: f64 = 0.1;
 
 /// A pose of a track.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,10 +30,11 @@ pub struct TrackPose {
 }
 
 impl TrackPose {
-    /// Whether all its numbers are numbers, and the quaternion has a length.
+    /// Whether it can be a place on the earth, and a rotation: no NaN, nothing beyond all bounds.
     pub fn is_fit(&self) -> bool {
-        let length: f64 = self.quaternion_xyzw.iter().map(|part| part * part).sum();
-        self.position.iter().all(|part| part.is_finite()) && length.is_finite() && length > 1e-12
+        let length = self.quaternion_xyzw.iter().map(|part| part * part).sum::<f64>().sqrt();
+        self.position.iter().all(|part| part.abs() <= POSITION_MAX_M)
+            && (length - 1.0).abs() <= LENGTH_OFF_MAX
     }
 }
 
@@ -112,6 +117,11 @@ pub struct Options {
     pub gap: Span,
     /// The first pose of each such period is written; `None`: all.
     pub period: Option<Span>,
+}
+
+impl Options {
+    /// Rates in Hz and gaps in s that make sense.
+    pub const RANGE: std::ops::RangeInclusive<f64> = 1e-3..=1e6;
 }
 
 /// What was written.

@@ -135,7 +135,8 @@ impl Bag {
         self.bytes
     }
 
-    /// Hands every reading to `sink`, in the order of arrival as far as it can be had within two seconds.
+    /// Hands every reading to `sink`, in the order of arrival as far as it can be had within two seconds, or within
+    /// 20 000 readings if that is less.
     /// `progress` gets the bytes that were read.
     ///
     /// # Errors
@@ -187,14 +188,11 @@ impl Bag {
                 };
                 let arrival = Arrival { arrival, reading };
                 if let Some(behind) = order.push(arrival) {
-                    let kind = about(
-                        path,
-                        &message.channel,
-                        "messages received more than 2 s before one above them",
-                    );
+                    let kind =
+                        about(path, &message.channel, "messages that came too late to be put in order");
                     report.faults.note(&kind, || {
                         format!(
-                            "message {number} at {}, {:.3} s behind",
+                            "message {number} at {}, {:.3} s before one that is written",
                             message.received,
                             behind.as_seconds()
                         )
@@ -204,10 +202,7 @@ impl Bag {
                     sink(&arrival)?;
                 }
             }
-            let kind = format!("{}: bytes that are torn off or damaged", path.display());
-            report.faults.note_many(&kind, messages.lost_bytes(), || {
-                "the bag was not closed, or a chunk fails its check".to_owned()
-            });
+            report.faults.note_lost(path, messages.lost_bytes());
             bytes_before += messages.bytes_read();
             progress(bytes_before);
         }

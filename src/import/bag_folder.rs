@@ -5,6 +5,10 @@ use std::path::{Path, PathBuf};
 
 use super::ImportError;
 use crate::export::Faults;
+use crate::record::files_of;
+
+/// What a recorder writes beside the files of a bag.
+pub(super) const METADATA: &str = "metadata.yaml";
 
 /// Longer than any such file that a recorder writes.
 const METADATA_BYTES_MAX: u64 = 64 << 20;
@@ -22,45 +26,20 @@ pub(super) fn mcap_files(path: &Path) -> Result<BagFolder, ImportError> {
     if !path.is_dir() {
         return Ok(BagFolder { files: vec![path.to_owned()], faults });
     }
-    let metadata = path.join("metadata.yaml");
+    let metadata = path.join(METADATA);
     let files = if metadata.exists() {
         listed(&metadata)?
     } else {
-        let files = found(path)?;
+        let files = files_of(path)?;
         // A recorder writes it last: without it, the bag was not closed.
         let kind = format!("{}: bags without metadata.yaml", path.display());
         faults.note(&kind, || format!("its {} MCAP files are read by the order of their names", files.len()));
         files
     };
     if files.is_empty() {
-        let message = "has no MCAP files".to_owned();
-        return Err(ImportError::Bag { path: path.to_owned(), message });
+        return Err(ImportError::Nothing { path: path.to_owned() });
     }
     Ok(BagFolder { files, faults })
-}
-
-/// Whether there is an MCAP file or a `metadata.yaml` in the folder.
-pub(super) fn looks_like_a_bag(path: &Path) -> bool {
-    path.join("metadata.yaml").exists() || found(path).is_ok_and(|files| !files.is_empty())
-}
-
-/// The MCAP files of a folder, `bag_2.mcap` before `bag_10.mcap`.
-fn found(folder: &Path) -> Result<Vec<PathBuf>, ImportError> {
-    let unreadable = |source| ImportError::Unreadable { path: folder.to_owned(), source };
-    let mut files = Vec::new();
-    for entry in fs::read_dir(folder).map_err(unreadable)? {
-        let path = entry.map_err(unreadable)?.path();
-        if path.extension().is_some_and(|extension| extension == "mcap") {
-            files.push(path);
-        }
-    }
-    files.sort_by_cached_key(|path| {
-        let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
-        let name = stem.trim_end_matches(|character: char| character.is_ascii_digit()).to_owned();
-        let number: u64 = stem[name.len()..].parse().unwrap_or(0);
-        (name, number, stem)
-    });
-    Ok(files)
 }
 
 /// The files that a `metadata.yaml` lists. Of its YAML, only the lines are read that matter here; they look the

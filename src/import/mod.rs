@@ -9,6 +9,7 @@ mod bag_folder;
 mod checks;
 mod intervals;
 mod log_folder;
+mod recording;
 mod ros;
 mod source;
 mod table;
@@ -23,6 +24,7 @@ pub use bag::{ArrivalTime, Bag, BagReport, BagTopic};
 pub use checks::Checks;
 pub use intervals::{Interval, read_intervals};
 pub use log_folder::{LogFolder, log_folder_bytes, read_log_folder, read_log_folder_showing};
+pub use recording::{RecordedReadings, read_recordings, recorded_machines};
 pub use source::{Source, source_of};
 pub use tum::{StampedPose, TumReader, read_tum};
 
@@ -56,6 +58,12 @@ pub enum ImportError {
         path: PathBuf,
         /// What is wrong, and what would be right.
         message: String,
+    },
+    /// There is nothing to import.
+    #[error("{}: is neither a log folder (imu.csv, ...) nor a ROS 2 bag or recording (metadata.yaml, *.mcap)", path.display())]
+    Nothing {
+        /// Which folder.
+        path: PathBuf,
     },
     /// An MCAP file cannot be read.
     #[error(transparent)]

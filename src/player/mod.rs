@@ -78,12 +78,24 @@ pub enum PlayerError {
         /// Whose machines.
         site: String,
     },
+    /// The site was there, and is not any more.
+    #[error(
+        "the site at {endpoint} went away: of {messages} messages, {sent} were sent, of which it lacks the last"
+    )]
+    WentAway {
+        /// Where it was.
+        endpoint: String,
+        /// Messages that were sent until that was seen.
+        sent: u64,
+        /// Of so many.
+        messages: u64,
+    },
 }
 
 /// Plays the session to its end, or until `shutdown`; says how far it came.
 ///
 /// # Errors
-/// [`PlayerError`] if a session cannot be opened, or nobody listens.
+/// [`PlayerError`] if a session cannot be opened, nobody listens, or who listened goes away.
 pub async fn play(
     options: Options,
     mut tell: impl FnMut(Progress),
@@ -123,6 +135,7 @@ async fn say_all(
     let last = turns.last().map_or(Span::default(), |turn| turn.due);
     *progress = Progress { messages: turns.len() as u64, length_s: last.as_seconds(), ..Progress::default() };
     let begun = Instant::now() + LEAD;
+    let mut looked = Instant::now();
     for Due { due, machine, message, is_last_of_boot } in turns {
         loop {
             let wait = (begun + seconds(due)).saturating_duration_since(Instant::now());
@@ -131,7 +144,9 @@ async fn say_all(
             }
             tokio::time::sleep(wait.min(TURN)).await;
             tell(*progress);
+            look(peers, endpoint, progress, &mut looked).await?;
         }
+        look(peers, endpoint, progress, &mut looked).await?;
         let peer = &mut peers[machine];
         peer.say(message).await?;
         // A machine that was off is off again.
@@ -144,6 +159,28 @@ async fn say_all(
             tell(*progress);
             // Where nothing is waited for, a signal is still to be heard.
             tokio::task::yield_now().await;
+        }
+    }
+    // What was said since may be on its way yet, or be lost.
+    tokio::time::sleep(TURN).await;
+    look(peers, endpoint, progress, &mut looked).await
+}
+
+/// Now and then, looks whether the site listens yet: nothing else tells that messages are lost.
+async fn look(
+    peers: &[Peer],
+    endpoint: &str,
+    progress: &Progress,
+    looked: &mut Instant,
+) -> Result<(), PlayerError> {
+    if looked.elapsed() < TURN {
+        return Ok(());
+    }
+    *looked = Instant::now();
+    for peer in peers {
+        if !peer.is_heard().await {
+            let Progress { sent, messages, .. } = *progress;
+            return Err(PlayerError::WentAway { endpoint: endpoint.to_owned(), sent, messages });
         }
     }
     Ok(())

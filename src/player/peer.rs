@@ -75,10 +75,15 @@ impl Peer {
 
     /// Waits until somebody listens.
     pub(super) async fn heard(&self, look_every: std::time::Duration) {
-        let Some(publisher) = self.publishers.get(&Topic::Pose) else { return };
-        while !publisher.matching_status().await.is_ok_and(|status| status.matching()) {
+        while !self.is_heard().await {
             tokio::time::sleep(look_every).await;
         }
+    }
+
+    /// Whether somebody listens.
+    pub(super) async fn is_heard(&self) -> bool {
+        let Some(publisher) = self.publishers.get(&Topic::Pose) else { return false };
+        publisher.matching_status().await.is_ok_and(|status| status.matching())
     }
 
     /// Says a message again.

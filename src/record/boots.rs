@@ -1,14 +1,11 @@
-//! Everything that a recording holds of a machine's boots: what its estimator took, and what it published.
+//! What a recording holds of a machine's boots, step by step: what its estimator took, and what it published.
 
-use std::collections::BTreeMap;
-use std::path::Path;
+use std::collections::{BTreeMap, BTreeSet};
 
-use super::journal::runs_of;
-use super::order::sorted;
-use super::read::PROGRESS_EVERY;
-use super::{BootRun, RecordError, Recorded, read_messages};
-use crate::state::LiveRun;
-use crate::wire::{BootId, JournalHead, Topic, decode_journal_page};
+use super::RecordError;
+use super::places::{Found, InOrder, Places};
+use crate::sensors::{Arrival, Sensor};
+use crate::wire::{BootId, JournalHead, JournalPage, Topic, decode_journal_page, decode_reading};
 
 /// A published pose, as it was sent.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -19,138 +16,234 @@ pub struct Published {
     pub payload: Vec<u8>,
 }
 
-/// One boot of a machine.
+/// What the estimator of a boot did next.
 #[derive(Clone, Debug, PartialEq)]
-pub struct RecordedBoot {
-    /// Which; `None` in recordings that do not tell.
-    pub boot: Option<BootId>,
+pub enum Step {
+    /// It took a reading.
+    Reading {
+        /// Which.
+        arrival: Arrival,
+        /// Whether the updater took it, too, and not the predictor alone.
+        seen: bool,
+    },
+    /// The predictor took over the solution to which the reading of this number led.
+    TookOver(u64),
+}
+
+/// One boot of a machine. It is read as it is asked for, and a few seconds of it are held.
+pub struct RecordedBoot<'a> {
+    messages: InOrder<'a>,
+    boot: Option<BootId>,
+    head: Option<JournalHead>,
+    /// IMU samples.
+    samples: u64,
+    page: Option<Page>,
+    any_page: bool,
+    /// Why pages before could not be read.
+    unreadable: Option<String>,
+    /// The numbers of the next readings.
+    next: BTreeMap<Sensor, u32>,
+    taken: u64,
+    takeovers: u64,
+    /// Readings that were read, whether they could be used or not.
+    readings: u64,
+    gap: Option<String>,
+    ended: bool,
+}
+
+/// A page of the journal that is being worked off.
+struct Page {
+    sensors: std::vec::IntoIter<Sensor>,
+    unseen: BTreeSet<u64>,
+    taken_over: Option<u64>,
+}
+
+impl Places {
+    /// The boots of a machine of which there is more than its health and its events, oldest first.
+    ///
+    /// # Errors
+    /// [`RecordError`] if a file cannot be read any more.
+    pub fn boots(&self, machine: &str) -> Result<Vec<RecordedBoot<'_>>, RecordError> {
+        let mut boots = Vec::new();
+        for (boot, places) in self.boots_of(machine) {
+            let has_more = Topic::ALL
+                .iter()
+                .any(|topic| !matches!(topic, Topic::Health | Topic::Event) && places.has(*topic));
+            if !has_more {
+                continue;
+            }
+            // Whoever took the readings stands on the first page; if that is lost, all is.
+            let mut pages = InOrder::new(self, machine, boot, places);
+            let first = pages.next(Topic::Journal)?;
+            let first = first.and_then(|first| decode_journal_page(&first.payload).ok());
+            let told = first.and_then(|page| page.head).map(|head| *head);
+            boots.push(RecordedBoot {
+                messages: InOrder::new(self, machine, boot, places),
+                boot,
+                head: told.or_else(|| places.head.clone()),
+                samples: places.count(Topic::Sensor(Sensor::Imu)),
+                page: None,
+                any_page: false,
+                unreadable: None,
+                next: BTreeMap::new(),
+                taken: 0,
+                takeovers: 0,
+                readings: 0,
+                gap: None,
+                ended: false,
+            });
+        }
+        Ok(boots)
+    }
+}
+
+impl RecordedBoot<'_> {
+    /// Which; `None` in recordings that do not tell, and of which there is no journal.
+    pub fn boot(&self) -> Option<BootId> {
+        self.boot
+    }
+
     /// Who took the readings, if the recording tells.
-    pub head: Option<JournalHead>,
-    /// From the boot on, without a gap; what came after one is not in it.
-    pub run: LiveRun,
-    /// What is missing, if something is: the run ends before it.
-    pub gap: Option<String>,
-    /// Readings of the boot in the recording, whether the run has them or not.
-    pub readings: u64,
-    /// Topic `pose`, in the order of the numbers.
-    pub poses: Vec<Published>,
-    /// Topic `odom`, the same.
-    pub odoms: Vec<Published>,
-}
+    pub fn head(&self) -> Option<&JournalHead> {
+        self.head.as_ref()
+    }
 
-/// All boots of a machine.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct RecordedBoots {
-    /// Oldest first.
-    pub boots: Vec<RecordedBoot>,
-    /// Bytes of the files that could not be read: damaged chunks and torn ends.
-    pub lost_bytes: u64,
-}
+    /// Whether a page of the journal was met so far.
+    pub fn has_journal(&self) -> bool {
+        self.any_page
+    }
 
-/// Reads the boots of `machine` from the files of one or more sessions; `tell` hears how many bytes were read. All
-/// of it is held in memory, some 200 kB for each second of a machine at 100 Hz.
-///
-/// # Errors
-/// [`RecordError`] if a file cannot be read or is no MCAP file.
-pub fn read_boots<'a>(
-    paths: impl IntoIterator<Item = &'a Path>,
-    machine: &str,
-    mut tell: impl FnMut(u64),
-) -> Result<RecordedBoots, RecordError> {
-    let Said { messages, mut heads, lost_bytes } = read_said(paths, machine, &mut tell)?;
-    let mut boots: Vec<RecordedBoot> = Vec::new();
-    let mut others = Vec::new();
-    for message in messages {
-        if !matches!(message.topic, Topic::Health | Topic::Event)
-            && boots.last().is_none_or(|last| last.boot != message.boot)
-        {
-            let head = message.boot.and_then(|boot| heads.remove(&boot));
-            boots.push(RecordedBoot::without_journal(message.boot, head));
-        }
-        match boots.last_mut() {
-            Some(last) if matches!(message.topic, Topic::Pose | Topic::Odom) => last.put(message),
-            last => {
-                if let (Some(last), Topic::Sensor(_)) = (last, message.topic) {
-                    last.readings += 1;
+    /// Samples of the cabin IMU in the recording.
+    pub fn samples(&self) -> u64 {
+        self.samples
+    }
+
+    /// Readings that were given out as steps.
+    pub fn taken(&self) -> u64 {
+        self.taken
+    }
+
+    /// What is missing, if something is: the steps have ended before it.
+    pub fn gap(&self) -> Option<&str> {
+        self.gap.as_deref()
+    }
+
+    /// The next step, from the boot on; `None` where the journal ends, or something is missing.
+    ///
+    /// The order of the readings is that of the journal, and does not rest on times, nor on the order of the file, in
+    /// which messages that were fetched later come late.
+    ///
+    /// # Errors
+    /// [`RecordError`] if a file cannot be read any more.
+    pub fn next_step(&mut self) -> Result<Option<Step>, RecordError> {
+        while self.gap.is_none() && !self.ended {
+            let Some(page) = &mut self.page else {
+                self.turn_page()?;
+                continue;
+            };
+            let Some(sensor) = page.sensors.next() else {
+                let taken_over = page.taken_over;
+                self.page = None;
+                if let Some(solution_of) = taken_over {
+                    self.takeovers += 1;
+                    return Ok(Some(Step::TookOver(solution_of)));
                 }
-                others.push(message);
+                continue;
+            };
+            let seen = !page.unseen.contains(&self.taken);
+            match self.reading(sensor)? {
+                Ok(arrival) => {
+                    self.taken += 1;
+                    return Ok(Some(Step::Reading { arrival, seen }));
+                }
+                Err(gap) => self.breaks_off(gap),
             }
         }
+        Ok(None)
     }
-    for BootRun { boot, head, run, gap } in runs_of(others) {
-        if let Some(found) = boots.iter_mut().find(|found| found.boot == Some(boot)) {
-            found.head = head.or(found.head.take());
-            (found.run, found.gap) = (run, gap);
-        }
+
+    /// The next message of topic `pose` or `odom`, by number.
+    ///
+    /// # Errors
+    /// [`RecordError`] if a file cannot be read any more.
+    pub fn next_published(&mut self, topic: Topic) -> Result<Option<Published>, RecordError> {
+        let found = self.messages.next(topic)?;
+        Ok(found.map(|Found { sequence, payload, .. }| Published { sequence, payload }))
     }
-    Ok(RecordedBoots { boots, lost_bytes })
-}
 
-/// All that a machine said, and what is known of its boots.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Said {
-    /// Boot by boot, in the order in which the machine sent them.
-    pub messages: Vec<Recorded<Vec<u8>>>,
-    /// Out of the metadata of on-board records; the journal tells of others.
-    pub heads: BTreeMap<BootId, JournalHead>,
-    /// Bytes of the files that could not be read: damaged chunks and torn ends.
-    pub lost_bytes: u64,
-}
-
-impl Said {
-    /// The newest machine file in it.
-    pub fn machine_file(&self) -> Option<String> {
-        let pages = self.messages.iter().rev().filter(|message| message.topic == Topic::Journal);
-        let told = pages.filter_map(|message| decode_journal_page(&message.payload).ok()?.head);
-        let mut told = told.map(|head| head.machine_file);
-        told.next().or_else(|| self.heads.values().next_back().map(|head| head.machine_file.clone()))
-    }
-}
-
-/// Reads all that `machine` said from the files of one or more sessions, as [`super::read_in_order`] does; `tell`
-/// hears how many bytes were read.
-///
-/// # Errors
-/// [`RecordError`] if a file cannot be read or is no MCAP file.
-pub fn read_said<'a>(
-    paths: impl IntoIterator<Item = &'a Path>,
-    machine: &str,
-    mut tell: impl FnMut(u64),
-) -> Result<Said, RecordError> {
-    let mut said = Said::default();
-    let (mut bytes_before, mut read) = (0, 0_u64);
-    for path in paths {
-        let mut messages = read_messages(path)?;
-        while let Some(message) = messages.next() {
-            let message = message?;
-            if message.machine == machine {
-                said.messages.push(message);
-            }
-            read += 1;
-            if read.is_multiple_of(PROGRESS_EVERY) {
-                tell(bytes_before + messages.read_bytes());
+    /// Readings in the recording that were not given out; nothing is left to be given out then.
+    ///
+    /// # Errors
+    /// [`RecordError`] if a file cannot be read any more.
+    pub fn readings_left(&mut self) -> Result<u64, RecordError> {
+        for sensor in Sensor::ALL {
+            while self.messages.next(Topic::Sensor(sensor))?.is_some() {
+                self.readings += 1;
             }
         }
-        bytes_before += messages.read_bytes();
-        said.lost_bytes += messages.lost_bytes();
-        let own = messages.about().iter().filter(|((of, _), _)| of == machine);
-        said.heads.extend(own.map(|((_, boot), head)| (*boot, head.clone())));
-    }
-    said.messages = sorted(said.messages);
-    Ok(said)
-}
-
-impl RecordedBoot {
-    fn without_journal(boot: Option<BootId>, head: Option<JournalHead>) -> Self {
-        let gap = Some("there is no journal of it".to_owned());
-        Self { boot, head, run: LiveRun::default(), gap, readings: 0, poses: Vec::new(), odoms: Vec::new() }
+        self.ended = true;
+        Ok(self.readings - self.taken)
     }
 
-    fn put(&mut self, message: Recorded<Vec<u8>>) {
-        let published = Published { sequence: message.sequence as u32, payload: message.payload };
-        match message.topic {
-            Topic::Odom => self.odoms.push(published),
-            _ => self.poses.push(published),
+    fn turn_page(&mut self) -> Result<(), RecordError> {
+        let Some(message) = self.messages.next(Topic::Journal)? else {
+            self.ended = true;
+            if !self.any_page {
+                self.gap = Some("there is no journal of it".to_owned());
+            }
+            return Ok(());
+        };
+        match decode_journal_page(&message.payload) {
+            Ok(page) => {
+                self.any_page = true;
+                match self.fitting(&page) {
+                    Ok(page) => self.page = Some(page),
+                    Err(gap) => self.breaks_off(gap),
+                }
+            }
+            Err(error) => self.unreadable = Some(error.to_string()),
         }
+        Ok(())
+    }
+
+    fn breaks_off(&mut self, gap: String) {
+        self.gap = Some(match self.unreadable.take() {
+            Some(reason) => format!("{gap} ({reason})"),
+            None => gap,
+        });
+    }
+
+    /// The page, if it goes on where the one before has ended.
+    fn fitting(&self, page: &JournalPage) -> Result<Page, String> {
+        if Some(page.boot) != self.boot {
+            return Err(format!("the journal goes on with boot {}", page.boot));
+        }
+        let (taken, takeovers) = (self.taken, self.takeovers);
+        if page.first != taken {
+            let begun = if taken == 0 { ": the beginning of the boot is not recorded" } else { "" };
+            return Err(format!("the journal goes on at reading {}, not at {taken}{begun}", page.first));
+        }
+        if page.takeovers != takeovers {
+            return Err(format!("the journal goes on at takeover {}, not at {takeovers}", page.takeovers));
+        }
+        let sensors = page.sensors().map_err(|error| error.to_string())?.into_iter();
+        let unseen = page.unseen.iter().copied().collect();
+        Ok(Page { sensors, unseen, taken_over: page.taken_over })
+    }
+
+    /// The next reading of a sensor; the inner error says why it cannot be had.
+    fn reading(&mut self, sensor: Sensor) -> Result<Result<Arrival, String>, RecordError> {
+        let wanted = self.next.entry(sensor).or_default();
+        let Some(Found { sequence, sent, payload }) = self.messages.next(Topic::Sensor(sensor))? else {
+            return Ok(Err(format!("message {wanted} of {sensor} is missing")));
+        };
+        self.readings += 1;
+        if sequence != *wanted {
+            return Ok(Err(format!("message {wanted} of {sensor} is missing")));
+        }
+        *wanted = sequence.wrapping_add(1);
+        let reading = decode_reading(sensor, &payload);
+        let arrival = reading.map(|reading| Arrival { arrival: sent, reading });
+        Ok(arrival.map_err(|error| format!("message {sequence} of {sensor}: {error}")))
     }
 }

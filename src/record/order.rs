@@ -3,9 +3,10 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::path::Path;
 
+use super::read::PROGRESS_EVERY;
 use super::{RecordError, Recorded, read_messages};
 use crate::time::Stamp;
-use crate::wire::{BootId, Topic};
+use crate::wire::{BootId, JournalHead, Topic, decode_journal_page};
 
 /// The messages of one boot.
 type Topics = BTreeMap<Topic, Vec<Recorded<Vec<u8>>>>;
@@ -32,6 +33,60 @@ pub fn read_in_order<'a>(
         }
     }
     Ok(sorted(messages))
+}
+
+/// All that a machine said, and what is known of its boots.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Said {
+    /// Boot by boot, in the order in which the machine sent them.
+    pub messages: Vec<Recorded<Vec<u8>>>,
+    /// Out of the metadata of on-board records; the journal tells of others.
+    pub heads: BTreeMap<BootId, JournalHead>,
+    /// Bytes of the files that could not be read: damaged chunks and torn ends.
+    pub lost_bytes: u64,
+}
+
+impl Said {
+    /// The newest machine file in it.
+    pub fn machine_file(&self) -> Option<String> {
+        let pages = self.messages.iter().rev().filter(|message| message.topic == Topic::Journal);
+        let told = pages.filter_map(|message| decode_journal_page(&message.payload).ok()?.head);
+        let mut told = told.map(|head| head.machine_file);
+        told.next().or_else(|| self.heads.values().next_back().map(|head| head.machine_file.clone()))
+    }
+}
+
+/// Reads all that `machine` said from the files of one or more sessions, as [`read_in_order`] does; `tell`
+/// hears how many bytes were read. All of it is held in memory, some 200 kB for each second of a machine at 100 Hz.
+///
+/// # Errors
+/// [`RecordError`] if a file cannot be read or is no MCAP file.
+pub fn read_said<'a>(
+    paths: impl IntoIterator<Item = &'a Path>,
+    machine: &str,
+    mut tell: impl FnMut(u64),
+) -> Result<Said, RecordError> {
+    let mut said = Said::default();
+    let (mut bytes_before, mut read) = (0, 0_u64);
+    for path in paths {
+        let mut messages = read_messages(path)?;
+        while let Some(message) = messages.next() {
+            let message = message?;
+            if message.machine == machine {
+                said.messages.push(message);
+            }
+            read += 1;
+            if read.is_multiple_of(PROGRESS_EVERY) {
+                tell(bytes_before + messages.read_bytes());
+            }
+        }
+        bytes_before += messages.read_bytes();
+        said.lost_bytes += messages.lost_bytes();
+        let own = messages.about().iter().filter(|((of, _), _)| of == machine);
+        said.heads.extend(own.map(|((_, boot), head)| (*boot, head.clone())));
+    }
+    said.messages = sorted(said.messages);
+    Ok(said)
 }
 
 /// The messages of one machine in that order.

@@ -51,6 +51,18 @@ impl Messages {
         &self.about
     }
 
+    /// The messages of the next chunk, or of the next record that stands alone, perhaps none; `None` at the end.
+    pub(super) fn next_block(&mut self) -> Result<Option<VecDeque<Recorded<Vec<u8>>>>, RecordError> {
+        let Some(records) = self.scanner.next_block()? else { return Ok(None) };
+        self.take_block(records);
+        Ok(Some(std::mem::take(&mut self.ready)))
+    }
+
+    /// Whose messages each channel has, of those that were met.
+    pub(super) fn into_channels(self) -> BTreeMap<u16, (String, Topic, Option<BootId>)> {
+        self.channels
+    }
+
     fn take_block(&mut self, records: Vec<Record<'static>>) {
         for record in records {
             match record {

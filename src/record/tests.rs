@@ -305,7 +305,7 @@ fn write_boot(writer: &mut RecordWriter, boot: u64, samples: i64, keep: impl Fn(
     let mut pages = 0;
     let mut write = |message: Recorded<Vec<u8>>| {
         if keep(message.topic, message.sequence) {
-            writer.write(&message).expect("write");
+            writer.write(&Recorded { boot: Some(BootId(boot)), ..message }).expect("write");
         }
     };
     for index in 0..samples {
@@ -384,6 +384,71 @@ fn run_ends_where_something_is_missing_and_says_what() {
         let gap = runs[1].gap.as_ref().expect(name);
         assert!(gap.contains(expected), "{name}: {gap}");
     }
+}
+
+/// Messages come late, twice, in several files, and far from those of other topics.
+#[test]
+fn boot_is_read_step_by_step_as_if_all_had_come_in_order() {
+    let folder = Folder::new("steps");
+    let machine = "a".to_owned();
+    let mut messages = Vec::new();
+    let mut page = JournalPage::new(BootId(7), 0, 0);
+    for index in 0..3_000_u64 {
+        let message = Recorded { boot: Some(BootId(7)), ..recorded(&machine, index, &imu(index as i64)) };
+        messages.push(Recorded {
+            topic: Topic::Pose,
+            payload: index.to_le_bytes().to_vec(),
+            ..message.clone()
+        });
+        messages.push(message.clone());
+        page.push(Sensor::Imu, true);
+        if index % 10 == 9 {
+            let payload = encode_json("journal page", &page).expect("JSON");
+            messages.push(Recorded { topic: Topic::Journal, sequence: index / 10, payload, ..message });
+            page = page.next();
+        }
+    }
+    // The middle comes at the end, topic by topic, the youngest first, every third message of it twice.
+    let (middle, mut all): (Vec<_>, Vec<_>) = messages
+        .into_iter()
+        .partition(|message| (900..2_100).contains(&((message.sent - START).as_nanos() / 10_000_000)));
+    assert!(!middle.is_empty());
+    for topic in [Topic::Pose, Topic::Journal, Topic::Sensor(Sensor::Imu)] {
+        let own = middle.iter().rev().filter(|message| message.topic == topic);
+        all.extend(
+            own.enumerate().flat_map(|(at, message)| vec![message.clone(); 1 + usize::from(at % 3 == 0)]),
+        );
+    }
+    let mut paths = Vec::new();
+    let mut book = ChannelBook::default();
+    for (part, messages) in all.chunks(all.len() / 3 + 1).enumerate() {
+        let path = folder.file(&format!("s-{part:04}.mcap"));
+        let mut writer = RecordWriter::create_next(&path, book).expect("create");
+        for (index, message) in messages.iter().enumerate() {
+            writer.write(message).expect("write");
+            // A chunk now and then.
+            if index % 200 == 199 {
+                writer.tick(message.received + Span::from_millis(3_600_000)).expect("tick");
+            }
+        }
+        book = writer.book().clone();
+        writer.finish().expect("finish");
+        paths.push(path);
+    }
+    let places = Places::of(paths.iter().map(PathBuf::as_path), |_| ()).expect("places");
+    assert_eq!(places.machines().collect::<Vec<_>>(), ["a"]);
+    let mut boots = places.boots("a").expect("boots");
+    let [boot] = &mut boots[..] else { panic!("one boot") };
+    for index in 0..3_000_u64 {
+        let step = Step::Reading { arrival: imu(index as i64), seen: true };
+        assert_eq!(boot.next_step().expect("read"), Some(step), "{index}");
+        let published = boot.next_published(Topic::Pose).expect("read").expect("there");
+        assert_eq!((published.sequence, published.payload), (index as u32, index.to_le_bytes().to_vec()));
+    }
+    assert_eq!(boot.next_step().expect("read"), None);
+    assert_eq!(boot.next_published(Topic::Pose).expect("read"), None);
+    assert_eq!(boot.readings_left().expect("read"), 0);
+    assert_eq!(boot.gap(), None);
 }
 
 /// Three files of one session, as a writer leaves them that goes on in the next file.

@@ -2,7 +2,8 @@
 
 use std::collections::VecDeque;
 
-use crate::estimator::{Options, Solution, split};
+use crate::estimator::{Options, Predictor, Solution, Updater, split};
+use crate::sensors::Arrival;
 use crate::state::{Estimate, LiveRun, Takeover};
 
 /// The takeovers are not those of these readings, or of other options.
@@ -23,37 +24,72 @@ pub enum NotThatRun {
     Ends(u64),
 }
 
+/// A run on two threads, on one.
+pub struct Again {
+    predictor: Predictor,
+    updater: Updater,
+    /// What the predictor took, and the updater not yet: it comes as far as the next solution that is taken over.
+    waiting: VecDeque<(u64, Arrival, bool)>,
+    solutions: VecDeque<(u64, Box<Solution>)>,
+    taken: u64,
+}
+
+impl Again {
+    /// Before the first reading.
+    pub fn new(options: Options) -> Self {
+        let (predictor, updater) = split(options);
+        Self { predictor, updater, waiting: VecDeque::new(), solutions: VecDeque::new(), taken: 0 }
+    }
+
+    /// Takes a reading; `seen` says whether the updater took it, too.
+    pub fn push(&mut self, arrival: &Arrival, seen: bool) -> Option<Estimate> {
+        self.waiting.push_back((self.taken, *arrival, seen));
+        self.taken += 1;
+        self.predictor.push(arrival)
+    }
+
+    /// Takes over the solution to which the reading of that number led.
+    ///
+    /// # Errors
+    /// [`NotThatRun`] if there is none.
+    pub fn take_over(&mut self, solution_of: u64) -> Result<(), NotThatRun> {
+        let takeover = Takeover { before: self.taken, solution_of };
+        if solution_of >= self.taken {
+            return Err(NotThatRun::OutOfOrder(takeover));
+        }
+        while let Some((number, arrival, seen)) =
+            self.waiting.pop_front_if(|(number, ..)| *number <= solution_of)
+        {
+            if seen {
+                self.solutions.extend(self.updater.push(&arrival).map(|solution| (number, solution)));
+                self.updater.take_events();
+            }
+        }
+        match self.solutions.pop_front() {
+            Some((of, solution)) if of == solution_of => {
+                self.predictor.adopt(&solution);
+                Ok(())
+            }
+            _ => Err(NotThatRun::NoSolution(takeover)),
+        }
+    }
+}
+
 /// Gives every estimate of the run to `said`, as the machine that ran it had them.
 ///
 /// # Errors
 /// [`NotThatRun`] where readings and takeovers do not fit together.
 pub fn again(run: &LiveRun, options: Options, mut said: impl FnMut(&Estimate)) -> Result<(), NotThatRun> {
-    let (mut predictor, mut updater) = split(options);
-    let mut solutions: VecDeque<(u64, Box<Solution>)> = VecDeque::new();
-    let mut to_update = (0_u64..).zip(&run.arrivals);
-    let mut updated = 0;
+    let mut again = Again::new(options);
     let mut takeovers = run.takeovers.iter().copied().peekable();
     for (number, arrival) in (0_u64..).zip(&run.arrivals) {
         while let Some(takeover) = takeovers.next_if(|takeover| takeover.before <= number) {
-            if takeover.before < number || takeover.solution_of >= number {
+            if takeover.before < number {
                 return Err(NotThatRun::OutOfOrder(takeover));
             }
-            while updated <= takeover.solution_of
-                && let Some((late, arrival)) = to_update.next()
-            {
-                updated = late + 1;
-                if run.unseen.contains(&late) {
-                    continue;
-                }
-                solutions.extend(updater.push(arrival).map(|solution| (late, solution)));
-                updater.take_events();
-            }
-            match solutions.pop_front() {
-                Some((of, solution)) if of == takeover.solution_of => predictor.adopt(&solution),
-                _ => return Err(NotThatRun::NoSolution(takeover)),
-            }
+            again.take_over(takeover.solution_of)?;
         }
-        if let Some(estimate) = predictor.push(arrival) {
+        if let Some(estimate) = again.push(arrival, !run.unseen.contains(&number)) {
             said(&estimate);
         }
     }

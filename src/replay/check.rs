@@ -2,15 +2,14 @@
 
 use crate::estimator::Options;
 use crate::lie::{So3, Vec3};
-use crate::record::{Published, RecordedBoot};
-use crate::sensors::Sensor;
+use crate::record::{Published, RecordError, RecordedBoot, Step};
 use crate::state::Estimate;
 use crate::time::Stamp;
 use crate::wire::{
     BootId, Odometry, PAGE_READINGS_MAX, RosMessage as _, Topic, odom_message, payload_stamp, pose_message,
 };
 
-use super::again;
+use super::{Again, NotThatRun};
 
 /// What came of one boot.
 #[derive(Clone, Debug, PartialEq)]
@@ -31,6 +30,8 @@ pub struct Checked {
     pub first: Option<Difference>,
     /// What could not be checked, and why, in words.
     pub unchecked: Vec<String>,
+    /// Why the run ended before its recording, if it did, whether anything is compared or not.
+    pub broke_off: Option<String>,
     /// Poses and odometry after the last page of the journal: it was open when the recording ended.
     pub after_journal: u64,
 }
@@ -69,92 +70,140 @@ pub enum How {
 }
 
 /// Runs a boot again and compares. `tell` hears now and then which part of the readings was taken.
-pub fn check(recorded: &RecordedBoot, options: Options, mut tell: impl FnMut(f64)) -> Checked {
-    let run = &recorded.run;
+///
+/// # Errors
+/// [`RecordError`] if a file cannot be read any more.
+pub fn check(
+    recorded: &mut RecordedBoot<'_>,
+    options: Options,
+    mut tell: impl FnMut(f64),
+) -> Result<Checked, RecordError> {
     let mut tracks = [
-        Track::new(Topic::Pose, &recorded.poses, |estimate| pose_message(estimate).encode()),
-        Track::new(Topic::Odom, &recorded.odoms, |estimate| odom_message(estimate).encode()),
+        Track::new(Topic::Pose, |estimate| pose_message(estimate).encode()),
+        Track::new(Topic::Odom, |estimate| odom_message(estimate).encode()),
     ];
-    let samples = run.arrivals.iter().filter(|arrival| arrival.reading.sensor() == Sensor::Imu).count();
+    let samples = recorded.samples().max(1) as f64;
     let mut estimates = 0_u64;
-    let outcome = again(run, options, |estimate| {
-        estimates += 1;
-        tracks.iter_mut().for_each(|track| track.meet(estimate));
-        if estimates.is_multiple_of(1_024) {
-            tell(estimates as f64 / samples.max(1) as f64);
+    let mut span: Option<(Stamp, Stamp)> = None;
+    let mut again = Again::new(options);
+    // What is taken over after the last reading changes nothing any more.
+    let mut due: Vec<u64> = Vec::new();
+    let mut another: Option<NotThatRun> = None;
+    'run: while let Some(step) = recorded.next_step()? {
+        let (arrival, seen) = match step {
+            Step::TookOver(solution_of) => {
+                due.push(solution_of);
+                continue;
+            }
+            Step::Reading { arrival, seen } => (arrival, seen),
+        };
+        for solution_of in due.drain(..) {
+            if let Err(error) = again.take_over(solution_of) {
+                another = Some(error);
+                break 'run;
+            }
         }
-    });
+        span = Some((span.map_or(arrival.arrival, |(first, _)| first), arrival.arrival));
+        let Some(estimate) = again.push(&arrival, seen) else { continue };
+        estimates += 1;
+        for track in &mut tracks {
+            track.meet(recorded, &estimate)?;
+        }
+        if estimates.is_multiple_of(1_024) {
+            tell((estimates as f64 / samples).min(1.0));
+        }
+    }
+    let [first_left, last_left] = &mut tracks;
+    let lefts = [first_left.drain(recorded, another.as_ref())?, last_left.drain(recorded, another.as_ref())?];
+    let beyond = recorded.readings_left()?;
     let mut unchecked = Vec::new();
     let mut after_journal = 0;
-    let lefts = tracks.each_ref().map(Track::left);
-    let beyond = recorded.readings.saturating_sub(run.arrivals.len() as u64);
-    match (&outcome, &recorded.gap) {
-        (Err(error), _) => tracks.iter_mut().for_each(|track| track.another_run(&error.to_string())),
-        (Ok(()), Some(gap)) => unchecked.push(format!("{}: {gap}", counted(lefts))),
-        (Ok(()), None) if beyond > PAGE_READINGS_MAX as u64 => {
-            let what = counted(lefts);
-            unchecked.push(format!("{what}: the journal ends {beyond} readings before the recording"));
+    let broke_off = match (&another, recorded.gap()) {
+        (Some(error), _) => Some(error.to_string()),
+        (None, Some(gap)) => Some(gap.to_owned()),
+        (None, None) if beyond > PAGE_READINGS_MAX as u64 => {
+            Some(format!("the journal ends {beyond} readings before the recording"))
         }
-        (Ok(()), None) => after_journal = lefts.iter().sum(),
+        (None, None) => {
+            after_journal = lefts.iter().sum();
+            None
+        }
+    };
+    if let (Some(why), None) = (&broke_off, &another) {
+        unchecked.push(format!("{}: {why}", counted(lefts)));
     }
     let missing = tracks.each_ref().map(|track| track.missing(estimates));
     if missing != [0, 0] {
         unchecked.push(format!("{}: they are not in the recording", counted(missing)));
     }
     let [poses, odoms] = tracks;
-    let span = run.arrivals.first().zip(run.arrivals.last());
     let firsts = [&poses, &odoms].into_iter().filter_map(|track| track.first.clone());
-    Checked {
-        boot: recorded.boot,
+    Ok(Checked {
+        boot: recorded.boot(),
         poses: poses.compared,
         odoms: odoms.compared,
         estimates,
-        span_s: span.map_or(0.0, |(first, last)| last.arrival.seconds_since(first.arrival)),
+        span_s: span.map_or(0.0, |(first, last)| last.seconds_since(first)),
         differing: poses.differing + odoms.differing,
         // Of equal stamps the pose.
         first: firsts.min_by_key(|difference| difference.stamp),
         unchecked,
+        broke_off,
         after_journal,
-    }
+    })
 }
 
 /// What was published on one topic, and how far it was compared.
-struct Track<'a> {
+struct Track {
     topic: Topic,
-    recorded: &'a [Published],
     encode: fn(&Estimate) -> Vec<u8>,
-    next: usize,
+    /// The message that is to be compared next.
+    next: Option<Published>,
+    /// Numbers of the first and the last message that was read, and how many those were.
+    read: Option<(u32, u32)>,
+    count: u64,
     compared: u64,
     differing: u64,
     first: Option<Difference>,
 }
 
-impl<'a> Track<'a> {
-    fn new(topic: Topic, recorded: &'a [Published], encode: fn(&Estimate) -> Vec<u8>) -> Self {
-        Self { topic, recorded, encode, next: 0, compared: 0, differing: 0, first: None }
+impl Track {
+    fn new(topic: Topic, encode: fn(&Estimate) -> Vec<u8>) -> Self {
+        Self { topic, encode, next: None, read: None, count: 0, compared: 0, differing: 0, first: None }
+    }
+
+    /// The next message that was published, left where it is.
+    fn peek(&mut self, recorded: &mut RecordedBoot<'_>) -> Result<Option<&Published>, RecordError> {
+        if self.next.is_none() {
+            self.next = recorded.next_published(self.topic)?;
+            if let Some(Published { sequence, .. }) = &self.next {
+                self.read = Some((self.read.map_or(*sequence, |(first, _)| first), *sequence));
+                self.count += 1;
+            }
+        }
+        Ok(self.next.as_ref())
     }
 
     /// An estimate that came out again; not all of them are published.
-    fn meet(&mut self, estimate: &Estimate) {
-        while let Some(published) = self.recorded.get(self.next) {
-            match payload_stamp(self.topic, &published.payload) {
-                Some(stamp) if stamp > estimate.stamp => return,
-                Some(stamp) if stamp == estimate.stamp => {
-                    let found = (self.encode)(estimate);
-                    self.next += 1;
-                    self.compared += 1;
-                    if found != published.payload {
-                        self.differs(published, Some(stamp), apart(&published.payload, &found));
-                    }
-                    return;
-                }
-                stamp => {
-                    self.next += 1;
-                    self.compared += 1;
-                    self.differs(published, stamp, How::NotAgain);
-                }
+    fn meet(&mut self, recorded: &mut RecordedBoot<'_>, estimate: &Estimate) -> Result<(), RecordError> {
+        let topic = self.topic;
+        while let Some(published) = self.peek(recorded)? {
+            let stamp = payload_stamp(topic, &published.payload);
+            if stamp.is_some_and(|stamp| stamp > estimate.stamp) {
+                return Ok(());
             }
+            let Some(published) = self.next.take() else { return Ok(()) };
+            self.compared += 1;
+            if stamp == Some(estimate.stamp) {
+                let found = (self.encode)(estimate);
+                if found != published.payload {
+                    self.differs(&published, stamp, apart(&published.payload, &found));
+                }
+                return Ok(());
+            }
+            self.differs(&published, stamp, How::NotAgain);
         }
+        Ok(())
     }
 
     fn differs(&mut self, published: &Published, stamp: Option<Stamp>, how: How) {
@@ -163,30 +212,36 @@ impl<'a> Track<'a> {
         self.first.get_or_insert(Difference { topic: self.topic, sequence, stamp, how });
     }
 
-    /// The next message cannot be had again.
-    fn another_run(&mut self, why: &str) {
-        if let Some(published) = self.recorded.get(self.next) {
-            let stamp = payload_stamp(self.topic, &published.payload);
-            self.differs(published, stamp, How::AnotherRun(why.to_owned()));
-        } else if self.first.is_none() {
-            self.differing += 1;
-            let how = How::AnotherRun(why.to_owned());
-            self.first = Some(Difference { topic: self.topic, sequence: 0, stamp: None, how });
+    /// Reads the rest; says how many were not compared. If the run was another, the first of them differs.
+    fn drain(
+        &mut self,
+        recorded: &mut RecordedBoot<'_>,
+        another: Option<&NotThatRun>,
+    ) -> Result<u64, RecordError> {
+        self.peek(recorded)?;
+        if let Some(error) = another {
+            let how = How::AnotherRun(error.to_string());
+            if let Some(published) = self.next.clone() {
+                self.differs(&published, payload_stamp(self.topic, &published.payload), how);
+            } else if self.first.is_none() {
+                self.differing += 1;
+                self.first = Some(Difference { topic: self.topic, sequence: 0, stamp: None, how });
+            }
         }
-    }
-
-    fn left(&self) -> u64 {
-        (self.recorded.len() - self.next) as u64
+        let mut left = 0;
+        while self.peek(recorded)?.is_some() {
+            self.next = None;
+            left += 1;
+        }
+        Ok(left)
     }
 
     /// Messages whose numbers are missing before the last one. Of a boot of which nothing comes out again, those
     /// before the first one do not count: it began before the recording.
     fn missing(&self, estimates: u64) -> u64 {
-        let Some((first, last)) = self.recorded.first().zip(self.recorded.last()) else {
-            return estimates;
-        };
-        let from = if estimates > 0 { 0 } else { first.sequence };
-        (u64::from(last.sequence - from) + 1).saturating_sub(self.recorded.len() as u64)
+        let Some((first, last)) = self.read else { return estimates };
+        let from = if estimates > 0 { 0 } else { first };
+        (u64::from(last - from) + 1).saturating_sub(self.count)
     }
 }
 

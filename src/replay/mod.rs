@@ -11,7 +11,7 @@ mod summary;
 
 use std::io;
 
-pub use again::{NotThatRun, again};
+pub use again::{Again, NotThatRun, again};
 pub use check::{Checked, Difference, How, check};
 pub use outputs::Outputs;
 pub use summary::{Distribution, Moments, Outage, Summary, Tally, Times};

@@ -27,6 +27,10 @@ pub struct Outputs {
 }
 
 impl Outputs {
+    /// The names of all files that a run may leave.
+    pub const FILES: [&str; 7] =
+        ["world.tum", "odom.tum", "base_odom.tum", "estimate.csv", "events.jsonl", TAKEOVERS, "summary.json"];
+
     /// Makes the folder and its files; files of an earlier run are overwritten.
     ///
     /// # Errors

@@ -29,7 +29,7 @@ use super::ended;
 use super::inlet::{Inbound, Message};
 use super::sessions::{Command, Progress, RecordingState};
 use crate::fleet::{self, Presence};
-use crate::record::{Gap, GapCause, GapCounts, Ledger, Ranges, read_messages};
+use crate::record::{Gap, GapCause, GapCounts, Ledger, Ranges, files_of, read_messages};
 use crate::wire::{Batch, BootId, Holdings, RecordRequest, Topic, Wanted, encode_json, record_key};
 
 /// How often machines are looked at.
@@ -213,11 +213,11 @@ impl Saving {
 fn read_files(sessions: &Path, saved: Option<SystemTime>, books: &Books, stopping: &AtomicBool) {
     let known_before = saved.and_then(|saved| saved.checked_sub(SAVE_MARGIN));
     let mut files: Vec<(SystemTime, PathBuf)> = Vec::new();
-    for session in std::fs::read_dir(sessions).into_iter().flatten().flatten() {
-        for file in std::fs::read_dir(session.path()).into_iter().flatten().flatten() {
-            let path = file.path();
-            let modified = file.metadata().and_then(|about| about.modified());
-            if let (Some(true), Ok(modified)) = (path.extension().map(|name| name == "mcap"), modified)
+    let folders = std::fs::read_dir(sessions).into_iter().flatten().flatten().map(|entry| entry.path());
+    for folder in folders.filter(|path| path.is_dir()) {
+        for path in files_of(&folder).unwrap_or_default() {
+            let modified = std::fs::metadata(&path).and_then(|about| about.modified());
+            if let Ok(modified) = modified
                 && known_before.is_none_or(|before| modified >= before)
             {
                 files.push((modified, path));

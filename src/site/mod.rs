@@ -173,6 +173,7 @@ impl Site {
             recorder_inbox: recorder.as_ref().map(Recorder::inbox),
             past,
             clock,
+            exports: http::turnstile(),
             stopped: stopped.clone(),
         };
         let server = http::serve(listener, shared, stopped);

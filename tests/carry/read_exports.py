@@ -5,10 +5,11 @@
 
 FOLDER holds one.tum (for evo), all.csv, all.geojson (for geojson, shapely and GDAL), all.gpx (for gpxpy and GDAL),
 all.kml (for fastkml and GDAL). EXPECTED.json: {"machines": {ID: POSES}, "one": ID, "origin": [LAT, LON, ALT],
-"outages": {ID: COUNT}, "heading": ...}. GDAL is what QGIS reads with. Exit code 0 if all is well, 1 with a message
+"outages": {ID: COUNT}, "published": PATH of a TUM file of what the machine in one.tum published}. GDAL is what QGIS reads with. Exit code 0 if all is well, 1 with a message
 for each thing that is not.
 """
 
+import copy
 import csv
 import datetime
 import json
@@ -22,7 +23,7 @@ import gpxpy
 import numpy as np
 import pyogrio
 import shapely
-from evo.core import metrics
+from evo.core import metrics, sync
 from evo.tools import file_interface
 
 with warnings.catch_warnings():
@@ -93,9 +94,27 @@ class Check:
         rows = self.truth[self.expected["one"]]
         self.same("tum: poses", trajectory.num_poses, len(rows))
         self.same("tum: positions", bool(np.array_equal(trajectory.positions_xyz, rows[:, 1:4])), True)
-        error = metrics.APE(metrics.PoseRelation.translation_part)
-        error.process_data((trajectory, trajectory))
-        self.same("tum: error to itself", error.get_statistic(metrics.StatisticsType.max), 0.0)
+        # What the machine published, written by another hand; moved by 5 m and a quarter turn, evo must say so.
+        reference = file_interface.read_tum_trajectory_file(self.expected["published"])
+        moved = copy.deepcopy(reference)
+        moved.transform(np.array([[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]]), right_mul=True)
+        moved.transform(np.array([[1, 0, 0, 3], [0, 1, 0, 4], [0, 0, 1, 0], [0, 0, 0, 1.0]]))
+        self.errors_to("published", trajectory, reference, 0.0, 0.0)
+        self.errors_to("moved", trajectory, moved, 5.0, 90.0)
+
+    def errors_to(self, name, trajectory, reference, metres, degrees):
+        """evo pairs the poses by their stamps, and finds each as far from the reference as it must be."""
+        reference, found = sync.associate_trajectories(reference, trajectory, max_diff=1e-4)
+        self.same(f"tum: poses that pair with those {name}", found.num_poses, trajectory.num_poses)
+        relations = {metrics.PoseRelation.translation_part: metres, metrics.PoseRelation.rotation_angle_deg: degrees}
+        for relation, wanted in relations.items():
+            error = metrics.APE(relation)
+            error.process_data((reference, found))
+            for statistic in (metrics.StatisticsType.min, metrics.StatisticsType.max):
+                value = error.get_statistic(statistic)
+                # Of an angle of nothing, evo's arc cosine leaves a few parts in a million of a degree.
+                if not abs(value - wanted) < 1e-5:
+                    self.errors.append(f"tum: {relation.name} to those {name}: {statistic.name} {value}, must be {wanted}")
 
     def geojson(self, path):
         # The package rounds to six decimals, some 6 cm, if it is not told.

@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
 """Writes a ROS 2 bag in MCAP with rosbags, from a holdfast log folder.
 
-    write_bag.py LOG_FOLDER BAG [--compress zstd|none] [--lidar pose] [--spoil KIND]
+    write_bag.py LOG_FOLDER BAG [--compress zstd|none] [--lidar pose|covariance] [--spoil KIND]
 
-Topics are /cabin/imu, /chassis/imu, /gnss/left, /gnss/right, /lidar (Odometry, or PoseStamped with --lidar pose)
-and /joint_states, whose joints are boom, swing (the cabin turn) and stick. Beside them /chatter of another type.
+Topics are /cabin/imu, /chassis/imu, /gnss/left, /gnss/right, /lidar (Odometry; PoseStamped with --lidar pose,
+PoseWithCovarianceStamped with --lidar covariance) and /joint_states, whose joints are boom, swing (the cabin turn) and stick. Beside them /chatter of another type.
 Each message is recorded at its t_arrival. --spoil makes the bag bad in one way:
     nan         the 11th IMU sample has a NaN
     backward    the stamp of the 21st IMU sample is that of the 11th
@@ -26,6 +26,13 @@ from rosbags.typesys import Stores, get_typestore
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 TYPES = STORE.types
+
+
+LIDAR_TYPES = {
+    "odometry": "nav_msgs/msg/Odometry",
+    "pose": "geometry_msgs/msg/PoseStamped",
+    "covariance": "geometry_msgs/msg/PoseWithCovarianceStamped",
+}
 
 
 def nanos(text):
@@ -101,7 +108,7 @@ def messages(folder, lidar, spoil):
         "base_imu.csv": ("/chassis/imu", "sensor_msgs/msg/Imu"),
         "gnss_left.csv": ("/gnss/left", "sensor_msgs/msg/NavSatFix"),
         "gnss_right.csv": ("/gnss/right", "sensor_msgs/msg/NavSatFix"),
-        "lidar_odometry.csv": ("/lidar", "geometry_msgs/msg/PoseStamped" if lidar == "pose" else "nav_msgs/msg/Odometry"),
+        "lidar_odometry.csv": ("/lidar", LIDAR_TYPES[lidar]),
         "cabin_turn.csv": ("/joint_states", "sensor_msgs/msg/JointState"),
     }
     for file, (topic, kind) in plan.items():
@@ -122,6 +129,10 @@ def messages(folder, lidar, spoil):
                     message = lidar_odometry(row, stamp)
                 elif kind.endswith("PoseStamped"):
                     message = make(kind, header(stamp, "lidar_map"), pose(row))
+                elif kind.endswith("PoseWithCovarianceStamped"):
+                    covariance = np.arange(36, dtype=float)
+                    with_covariance = make("geometry_msgs/msg/PoseWithCovariance", pose(row), covariance)
+                    message = make(kind, header(stamp, "lidar_map"), with_covariance)
                 else:
                     message = joints(row, stamp, number, spoil)
                 data = bytes(STORE.serialize_cdr(message, kind))
@@ -136,7 +147,7 @@ def main():
     parser.add_argument("folder", type=Path)
     parser.add_argument("bag", type=Path)
     parser.add_argument("--compress", default="none")
-    parser.add_argument("--lidar", default="odometry")
+    parser.add_argument("--lidar", choices=LIDAR_TYPES, default="odometry")
     parser.add_argument("--spoil")
     arguments = parser.parse_args()
     writer = Writer(arguments.bag, version=9, storage_plugin=StoragePlugin.MCAP)

@@ -10,13 +10,10 @@ use std::time::Instant;
 
 use super::super::Outcome;
 use super::super::progress::{Progress, Unit};
-use super::Session;
+use super::{Session, lost};
 use crate::config::{self, Machine};
-use crate::record::{self, RecordedBoot};
+use crate::record::RecordedBoot;
 use crate::replay::{self, Checked, Difference, How};
-
-/// Of a machine's work, reading takes about this part.
-const READING: f64 = 0.4;
 
 /// What came of one machine.
 struct Result {
@@ -67,8 +64,19 @@ pub(super) fn run(
         let result = result.map_err(|error| -> Box<dyn Error> { error })?;
         data_s += result.boots.iter().fold(0.0, |sum, boot| sum + boot.span_s);
         writeln!(out, "{id}: {}", summary(&result, compares))?;
-        for boot in result.boots.iter().filter(|_| compares) {
+        for boot in &result.boots {
             let name = boot.boot.map_or_else(|| "not told".to_owned(), |boot| boot.to_string());
+            if !compares {
+                if let Some(why) = &boot.broke_off {
+                    outcome = Outcome::DataWasBad;
+                    let estimates = boot.estimates;
+                    writeln!(
+                        out,
+                        "NOT RUN: {id}, boot {name}: what comes after {estimates} estimates: {why}"
+                    )?;
+                }
+                continue;
+            }
             if let Some(first) = &boot.first {
                 differ += 1;
                 writeln!(
@@ -105,37 +113,35 @@ fn machine(
     mut tell: impl FnMut(f64),
 ) -> std::result::Result<Result, Failure> {
     let begun = Instant::now();
-    let all_bytes = session.bytes.max(1) as f64;
-    let read = record::read_boots(session.paths(), id, |bytes| tell(READING * bytes as f64 / all_bytes))?;
     let mut result = Result { boots: Vec::new(), unchecked: Vec::new(), took_s: 0.0 };
-    if read.boots.is_empty() {
+    let mut boots = session.places.boots(id)?;
+    if boots.is_empty() {
         result.unchecked.push("there are no readings and no poses of it".to_owned());
     }
-    if read.lost_bytes > 0 {
-        result.unchecked.push(format!("{} bytes of the recording cannot be read", read.lost_bytes));
+    if session.places.lost_bytes() > 0 {
+        result.unchecked.push(lost(session.places.lost_bytes()));
     }
-    let readings = |boot: &RecordedBoot| boot.run.arrivals.len() as f64;
-    let all: f64 = read.boots.iter().map(readings).sum::<f64>().max(1.0);
+    let all = boots.iter().map(RecordedBoot::samples).sum::<u64>().max(1) as f64;
     let mut done = 0.0;
-    for boot in &read.boots {
-        let options = match (file, &boot.head) {
+    for boot in &mut boots {
+        let options = match (file, boot.head()) {
             (Some(file), _) => file.estimator_options(),
             (None, Some(head)) => {
                 let path = format!("machine file of {id} in the recording");
                 config::parse::<Machine>(&head.machine_file, Path::new(&path))?.estimator_options()
             }
             (None, None) => {
-                let name = boot.boot.map_or_else(|| "not told".to_owned(), |boot| boot.to_string());
-                let gap = boot.gap.as_deref().unwrap_or("the recording does not hold its machine file");
-                let advice = if boot.gap.is_some() { "" } else { ": give it with --machine-file" };
-                result.unchecked.push(format!("boot {name}: {gap}{advice}"));
+                let name = boot.boot().map_or_else(|| "not told".to_owned(), |boot| boot.to_string());
+                // Without a journal, its machine file would not help.
+                while boot.next_step()?.is_some() {}
+                let advice = "the recording does not hold its machine file: give it with --machine-file";
+                let why = boot.gap().unwrap_or(advice);
+                result.unchecked.push(format!("boot {name}: {why}"));
                 continue;
             }
         };
-        let part = readings(boot) / all;
-        let checked = replay::check(boot, options, |fraction| {
-            tell(READING + (1.0 - READING) * (done + part * fraction));
-        });
+        let part = boot.samples() as f64 / all;
+        let checked = replay::check(boot, options, |fraction| tell(done + part * fraction))?;
         done += part;
         result.boots.push(checked);
     }

@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use super::super::progress::{Progress, Unit};
 use super::super::{Outcome, logging, machine::shutdown_signal};
-use super::Session;
+use super::{Session, lost};
 use crate::config::{self, Machine};
 use crate::player::{self, Options, Part};
 use crate::record::{Said, read_said};
@@ -52,7 +52,7 @@ pub(super) fn run(session: &Session, site: &Site, speed: f64) -> Result<Outcome,
         begun.elapsed().as_secs_f64()
     );
     if lost_bytes > 0 {
-        eprintln!("{lost_bytes} bytes of the recording cannot be read");
+        eprintln!("{}", lost(lost_bytes));
         return Ok(Outcome::DataWasBad);
     }
     Ok(Outcome::Done)

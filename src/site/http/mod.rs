@@ -3,6 +3,7 @@
 mod api;
 mod assets;
 mod download;
+mod export;
 mod guard;
 mod live;
 mod metrics;
@@ -21,7 +22,7 @@ use axum::middleware;
 use axum::routing::get;
 use axum::serve::ListenerExt as _;
 use tokio::net::TcpListener;
-use tokio::sync::watch;
+use tokio::sync::{Semaphore, watch};
 use utoipa::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
@@ -31,6 +32,7 @@ use super::clock::SiteClock;
 use super::counters::Counters;
 use super::ended;
 use super::sessions::{Catalogue, Command, Progress};
+pub(super) use export::turnstile;
 use problem::Problem;
 
 /// What the handlers see of the site.
@@ -46,6 +48,8 @@ pub(super) struct Shared {
     pub recorder_inbox: Option<SyncSender<Command>>,
     pub past: tracks::SharedPast,
     pub clock: SiteClock,
+    /// How many exports may be made at once.
+    pub exports: Arc<Semaphore>,
     pub stopped: watch::Receiver<bool>,
 }
 
@@ -87,6 +91,7 @@ fn router(shared: Shared) -> Router {
         .routes(routes!(tracks::track))
         .routes(routes!(tracks::events))
         .routes(routes!(tracks::history))
+        .routes(routes!(export::export))
         .routes(routes!(live::live))
         .routes(routes!(ready::healthz))
         .routes(routes!(ready::readyz))

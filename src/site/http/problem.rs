@@ -17,7 +17,7 @@ pub(super) struct Problem {
     /// The HTTP status.
     status: u16,
     /// What is wrong here, and what would be right.
-    detail: String,
+    pub(super) detail: String,
 }
 
 impl Problem {
