@@ -1,5 +1,6 @@
 //! The site's HTTP door: API, live WebSocket, metrics, page. Reads the newest frame; asks nothing back.
 
+mod alerts;
 mod api;
 mod assets;
 mod download;
@@ -22,17 +23,19 @@ use axum::middleware;
 use axum::routing::get;
 use axum::serve::ListenerExt as _;
 use tokio::net::TcpListener;
-use tokio::sync::watch;
+use tokio::sync::{mpsc, watch};
 use utoipa::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use super::aggregator::Frame;
+use super::alerts::{Acknowledge, Channel};
 use super::clock::SiteClock;
 use super::counters::Counters;
 use super::ended;
 use super::history::Archive;
 use super::sessions::{Catalogue, Command, Progress};
+use crate::fleet::Alert;
 use crate::frames::geodesy::SiteFrame;
 use problem::Problem;
 
@@ -48,10 +51,21 @@ pub(super) struct Shared {
     pub recorder: Option<watch::Receiver<Progress>>,
     pub recorder_inbox: Option<SyncSender<Command>>,
     pub archive: Arc<Archive>,
+    pub alerts: AlertsDesk,
+    /// The site's id.
+    pub site: String,
     pub site_frame: SiteFrame,
     pub time_zone: jiff::tz::TimeZone,
     pub clock: SiteClock,
     pub stopped: watch::Receiver<bool>,
+}
+
+/// What the handlers see of the alerts.
+#[derive(Clone)]
+pub(super) struct AlertsDesk {
+    pub open: watch::Receiver<Arc<Vec<Alert>>>,
+    pub commands: mpsc::Sender<Acknowledge>,
+    pub channels: Arc<Vec<Channel>>,
 }
 
 impl Shared {
@@ -73,6 +87,7 @@ impl Shared {
     ),
     tags(
         (name = "fleet", description = "The machines, now"),
+        (name = "alerts", description = "What somebody should look at"),
         (name = "outages", description = "When, where and why GNSS failed"),
         (name = "sessions", description = "Recordings"),
         (name = "operation", description = "Of the server itself")
@@ -86,6 +101,9 @@ fn router(shared: Shared) -> Router {
         .routes(routes!(api::fleet))
         .routes(routes!(api::machines))
         .routes(routes!(api::machine))
+        .routes(routes!(alerts::list))
+        .routes(routes!(alerts::acknowledge))
+        .routes(routes!(alerts::test))
         .routes(routes!(outages::list))
         .routes(routes!(outages::statistics))
         .routes(routes!(outages::outage))
