@@ -1,7 +1,7 @@
 /**
- * DEVELOPMENT MOCK, not the site: speaks the site's API with two made-up excavators, to work on the page's look.
+ * DEVELOPMENT MOCK, not the site: speaks the site's API with made-up excavators, to work on the page's look and its pace.
  *
- * `node dev/mock-site.mjs [--dist DIR] [--port N]`; the end-to-end test never uses it. Machine "b" goes through
+ * `node dev/mock-site.mjs [--dist DIR] [--port N] [--machines N]`; the end-to-end test never uses it. Machine "b" goes through
  * holding, stale and lost in turn, 15 s each.
  * With `--phase lost` the second machine stays in that phase.
  */
@@ -17,6 +17,7 @@ const { values: options } = parseArgs({
     dist: { type: "string", default: "dist" },
     port: { type: "string", default: "8090" },
     phase: { type: "string" },
+    machines: { type: "string", default: "2" },
   },
 });
 
@@ -51,7 +52,27 @@ function sensor(name, rate_hz, seconds, refused = 0, last_refusal = null) {
   };
 }
 
+const IDS = Array.from({ length: Number(options.machines) }, (_, index) =>
+  index < 26 ? String.fromCharCode(97 + index) : `m${index}`,
+);
+
+/** Beyond the first two, machines work in a field of their own each. */
 function machine(id, now_ms) {
+  const index = IDS.indexOf(id);
+  if (index < 2) return single(id, now_ms);
+  const view = single(index % 7 === 3 ? "b" : "a", now_ms + index * 1700);
+  const [east, north] = [((index % 10) - 5) * 26, (Math.floor(index / 10) - 2) * 26];
+  const move = (position) => position && [position[0] + east, position[1] + north, position[2]];
+  const pose = view.pose && {
+    ...view.pose,
+    position_m: move(view.pose.position_m),
+    cabin_position_m: move(view.pose.cabin_position_m),
+    chassis_position_m: move(view.pose.chassis_position_m),
+  };
+  return { ...view, id, name: `Excavator ${index + 1}`, pose };
+}
+
+function single(id, now_ms) {
   const phase = id === "a" ? "fixed" : phaseNow(now_ms);
   const phaseStart_ms =
     options.phase === undefined
@@ -92,6 +113,7 @@ function machine(id, now_ms) {
     name: id === "a" ? "Menzi Muck M545, no. 1" : "Liebherr R 914, no. 7",
     presence,
     presence_since: rfc3339(presence === "online" ? started_ms : phaseStart_ms),
+    software: "0.1.0",
     boot: id === "a" ? "5d01f3a9c2b77e10" : "91be02447dd3a6f8",
     state_word,
     severity,
@@ -117,6 +139,8 @@ function machine(id, now_ms) {
           },
     health: {
       age_s: frozen ? inPhase_s : (now_ms % 1000) / 1000,
+      estimate_age_s: 0.004,
+      prediction_p99_us: 38,
       report: {
         stamp_ns,
         mode: { holding: "fallback", initializing: "initializing" }[phase] ?? "main",
@@ -165,6 +189,22 @@ function machine(id, now_ms) {
         accel_bias: [0.01, 0.02, -0.05],
       },
     },
+    gnss: {
+      state: holding ? "silent" : "fixed",
+      since: rfc3339(phaseStart_ms),
+      mode: holding ? "fallback" : "main",
+      outage: holding
+        ? {
+            id: "o1",
+            cause: "silent",
+            start: rfc3339(phaseStart_ms),
+            duration_s: inPhase_s,
+            travelled_m: inPhase_s * 0.4,
+            position_sigma_m: sigma,
+            budget: inPhase_s > 5 ? { tolerance_m: 0.1, time_s: 60 - inPhase_s, distance_m: 8 } : null,
+          }
+        : null,
+    },
     link: {
       pose_rate_hz: frozen ? 0 : 99.8,
       received: Math.round(100 * seconds),
@@ -189,7 +229,7 @@ function fleet() {
       software: "0.1.0",
     },
     time: rfc3339(now_ms),
-    machines: ["a", "b"].map((id) => machine(id, now_ms)),
+    machines: IDS.map((id) => machine(id, now_ms)),
   };
 }
 
@@ -236,7 +276,8 @@ const server = createServer(async (request, response) => {
   if (pathname === "/api/v1/fleet") return json(fleet());
   if (pathname === "/api/v1/sessions") return json(sessions());
   if (pathname === "/healthz") return response.end("ok");
-  const path = normalize(pathname === "/" ? "/index.html" : pathname);
+  const view = /^\/(machines|outages|sessions|alerts|account|sign-in)(\/[^/.]*)?$/.test(pathname);
+  const path = normalize(pathname === "/" || view ? "/index.html" : pathname);
   try {
     const content = await readFile(join(options.dist, path));
     response.writeHead(200, {

@@ -12,7 +12,7 @@ const page = await browser.newPage({
 page.on("console", (message) => console.log(message.type(), message.text()));
 page.on("pageerror", (error) => console.log("pageerror", error.message));
 await page.goto(url);
-await page.waitForSelector("[data-machine]");
+await page.waitForSelector("h1", { state: "attached" });
 if (select !== "") await page.click(`.card[data-machine="${select}"] .card-head`);
 await page.waitForTimeout(Number(wait_ms));
 await page.screenshot({ path: file });

@@ -7,9 +7,15 @@ export class Format {
   private readonly whole: Intl.NumberFormat;
   private readonly clock: Intl.DateTimeFormat;
   private readonly dateAndClock: Intl.DateTimeFormat;
+  private readonly minutes: Intl.DateTimeFormat;
+  private readonly seconds: Intl.DateTimeFormat;
+  private readonly dayOnly: Intl.DateTimeFormat;
 
   /** `locale` gives the decimal sign and order of dates; `zone` (IANA) is the browser's unless given. */
-  constructor(locale: string, zone?: string) {
+  constructor(
+    locale: string,
+    readonly zone?: string,
+  ) {
     this.decimals = [0, 1, 2, 3, 4, 5, 6, 7].map(
       (digits) =>
         new Intl.NumberFormat(locale, {
@@ -23,6 +29,10 @@ export class Format {
     const timeZone = zone === undefined ? {} : { timeZone: zone };
     const clock = { hour: "2-digit", minute: "2-digit", second: "2-digit", hourCycle: "h23" } as const;
     this.clock = new Intl.DateTimeFormat(dateLocale, { ...clock, ...timeZone, timeZoneName: "short" });
+    const short = { hour: "2-digit", minute: "2-digit", hourCycle: "h23" } as const;
+    this.minutes = new Intl.DateTimeFormat(dateLocale, { ...short, ...timeZone });
+    this.seconds = new Intl.DateTimeFormat(dateLocale, { ...clock, ...timeZone });
+    this.dayOnly = new Intl.DateTimeFormat(dateLocale, { day: "numeric", month: "short", ...timeZone });
     this.dateAndClock = new Intl.DateTimeFormat(dateLocale, {
       year: "numeric",
       month: "short",
@@ -117,6 +127,24 @@ export class Format {
   /** Date and time of day with its zone. */
   dateTime(time_ms: number | null): string {
     return time_ms === null ? NO_VALUE : this.dateAndClock.format(time_ms);
+  }
+
+  /** For axes, under which the zone is printed once: a time of day, or the date where ticks are days apart. */
+  tick(time_ms: number, step_s: number): string {
+    if (step_s >= 86_400) return this.dayOnly.format(time_ms);
+    return (step_s >= 60 ? this.minutes : this.seconds).format(time_ms);
+  }
+
+  /** The zone in which times are told, as it is called at that time. */
+  zoneName(time_ms: number): string {
+    const parts = this.clock.formatToParts(time_ms);
+    return parts.find(({ type }) => type === "timeZoneName")?.value ?? "";
+  }
+
+  /** A part of a whole: 12 %. */
+  percent(share: number): string {
+    const percent = share * 100;
+    return `${this.number(percent, percent > 0 && percent < 9.95 ? 1 : 0)} %`;
   }
 
   private plain(value: number): string {

@@ -1,13 +1,20 @@
 /** Puts the page together: the live connection feeds the store, the store feeds the components. */
 
+import { computed, effect } from "@preact/signals";
 import { render } from "preact";
 
+import { fetchMe } from "./api/accounts";
+import { whenUnknown } from "./api/http";
 import { browserSurroundings, Live } from "./api/live";
 import { App } from "./app";
 import { Format } from "./format";
-import { DeskContext, noChoices } from "./store/context";
+import { followBrowser, go, paths, route } from "./route";
+import { takeAlerts } from "./store/alerts";
+import { DeskContext, keptChoices } from "./store/context";
+import { me, setMe } from "./store/people";
 import { Store } from "./store/store";
 import "./style.css";
+import "./views.css";
 import "./plan/plan.css";
 import { chooseText, SpeechContext } from "./text";
 
@@ -31,9 +38,13 @@ const live = new Live(
       lastHeard_ms = performance.now();
       store.takeDelta(message);
     },
+    alerts: takeAlerts,
     unreadable: (reason) => store.refuse(reason),
-    lost: (pause_ms) =>
-      store.setLink({ phase: "lost", since_ms: lastHeard_ms, retry_at_ms: performance.now() + pause_ms }),
+    lost(pause_ms) {
+      store.setLink({ phase: "lost", since_ms: lastHeard_ms, retry_at_ms: performance.now() + pause_ms });
+      // A browser is not told why a WebSocket is refused: it may be that one has to sign in again.
+      void askWho();
+    },
   },
   browserSurroundings(),
 );
@@ -42,11 +53,44 @@ const wished = new URLSearchParams(window.location.search).get("lang");
 const text = chooseText([...(wished === null ? [] : [wished]), ...navigator.languages]);
 document.documentElement.lang = text.language;
 
+const choices = keptChoices(window.localStorage);
+const zone = computed(() => (choices.utc.value ? "UTC" : store.calm.value.site?.time_zone));
+const format = computed(() => new Format(text.language, zone.value));
+
+let speaking = false;
+
+/** Asks the site who one is; the live connection is for those who may look. */
+async function askWho(): Promise<void> {
+  try {
+    setMe(await fetchMe());
+  } catch {
+    // The site does not answer: who one is stays as it was.
+    if (me.peek() === null) speak();
+  }
+}
+
+function speak(): void {
+  if (speaking) return;
+  speaking = true;
+  live.start();
+}
+
+whenUnknown(() => setMe("nobody"));
+followBrowser();
+effect(() => {
+  const known = me.value;
+  const at = route.value?.view;
+  if (known === null) return;
+  if (known !== "nobody") return speak();
+  if (at !== "sign-in")
+    go(paths.signIn(window.location.pathname + window.location.search), { replace: true });
+});
+
 const page = document.getElementById("page");
 if (page === null) throw new Error("index.html has no place for the page");
 render(
-  <SpeechContext.Provider value={{ text, format: new Format(text.language) }}>
-    <DeskContext.Provider value={{ store, choices: noChoices() }}>
+  <SpeechContext.Provider value={{ text, format }}>
+    <DeskContext.Provider value={{ store, choices }}>
       <App />
     </DeskContext.Provider>
   </SpeechContext.Provider>,
@@ -54,4 +98,4 @@ render(
 );
 
 window.setInterval(() => store.tick(), TICK_MS);
-live.start();
+void askWho();

@@ -49,10 +49,10 @@ export const paths = {
   outages: () => keepLanguage("/outages"),
   outage: (id: string) => keepLanguage(`/outages/${encodeURIComponent(id)}`),
   sessions: () => keepLanguage("/sessions"),
-  /** `time_s` is the moment, since the start of the session. */
-  replay: (id: string, time_s?: number, machine?: string) =>
+  /** `at` is the moment, RFC 3339. */
+  replay: (id: string, at?: string, machine?: string) =>
     keepLanguage(`/sessions/${encodeURIComponent(id)}`, {
-      ...(time_s === undefined ? {} : { t: time_s.toFixed(1) }),
+      ...(at === undefined ? {} : { at }),
       ...(machine === undefined ? {} : { machine }),
     }),
   alerts: () => keepLanguage("/alerts"),

@@ -38,7 +38,9 @@ describe("messages on arrival", () => {
     expect(() => arrive(delta(1, [machineView({ severity: "splendid" as never })]))).toThrow(
       "severity: expected one of good, warning, bad, offline",
     );
-    expect(() => arrive({ type: "gossip" })).toThrow('message.type: expected "snapshot", "delta" or "error"');
+    expect(() => arrive({ type: "gossip" })).toThrow(
+      'message.type: expected "snapshot", "delta", "alerts" or "error"',
+    );
     expect(() => arrive([])).toThrow("message: expected an object");
   });
 
@@ -71,11 +73,14 @@ describe("the list of recordings", () => {
       missed: 3,
       next_session: null,
     };
-    expect(checkSessions({ recording, sessions: [session] })).toEqual({ recording, sessions: [session] });
-    expect(() => checkSessions({ recording, sessions: [{ ...session, state: "lost" }] })).toThrow(
+    expect(checkSessions({ recording, sessions: [session] }, "sessions")).toEqual({
+      recording,
+      sessions: [session],
+    });
+    expect(() => checkSessions({ recording, sessions: [{ ...session, state: "lost" }] }, "sessions")).toThrow(
       "sessions.sessions[0].state",
     );
-    expect(() => checkSessions({ recording: { ...recording, why: 1 }, sessions: [] })).toThrow(
+    expect(() => checkSessions({ recording: { ...recording, why: 1 }, sessions: [] }, "sessions")).toThrow(
       "sessions.recording.why",
     );
   });

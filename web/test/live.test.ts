@@ -31,6 +31,7 @@ function bench() {
     {
       snapshot: () => log.push("snapshot"),
       delta: (message) => log.push(`delta ${message.seq}`),
+      alerts: (alerts) => log.push(`alerts ${alerts.length}`),
       unreadable: (reason) => log.push(`unreadable ${reason}`),
       lost: (pause_ms) => log.push(`lost ${pause_ms}`),
     },
@@ -71,7 +72,7 @@ describe("the live connection", () => {
   it("asks for its rate and passes snapshot and deltas on", () => {
     const { socket, log } = bench();
     socket().onopen?.({} as never);
-    expect(JSON.parse(socket().sent[0] ?? "")).toEqual({ type: "subscribe", rate_hz: 10 });
+    expect(JSON.parse(socket().sent[0] ?? "")).toEqual({ type: "subscribe", rate_hz: 10, alerts: true });
     socket().say(snapshot([machineView()]));
     socket().say(delta(1, [machineView()]));
     expect(log).toEqual(["snapshot", "delta 1"]);

@@ -33,11 +33,14 @@ export function machineView(changes: Partial<MachineView> = {}): MachineView {
     presence: "online",
     presence_since: TIME,
     boot: "0123456789abcdef",
+    software: "0.1.0",
     state_word: "RTK FIXED",
     severity: "good",
     pose: poseView(),
     health: {
       age_s: 0.4,
+      estimate_age_s: 0.01,
+      prediction_p99_us: 40,
       report: {
         stamp_ns: 1_795_410_000_123_456_000,
         mode: "main",
@@ -59,6 +62,7 @@ export function machineView(changes: Partial<MachineView> = {}): MachineView {
         accel_bias: [0.05, 0, -0.02],
       },
     },
+    gnss: { state: "fixed", since: TIME, mode: "main", outage: null },
     link: {
       pose_rate_hz: 100,
       received: 4000,

@@ -16,9 +16,9 @@ use tokio::sync::watch;
 use super::Shared;
 use super::api::malformed;
 use super::problem::Problem;
+use super::query::{bad, time, understood};
 use super::sessions::ask;
 use crate::fleet::{Past, PoseView, StatePoint, UtcTime};
-use crate::frames::geodesy::{Geodetic, SiteFrame};
 use crate::record::RecordError;
 use crate::site::aggregator::Frame;
 use crate::site::ended;
@@ -210,12 +210,7 @@ pub(super) async fn track(
 ) -> Result<Response, Problem> {
     let Path(id) = id.map_err(malformed)?;
     let wanted = wanted(query)?;
-    let world = shared.frame().view.site.world;
-    let frame = SiteFrame::new(Geodetic {
-        latitude_deg: world.latitude_deg,
-        longitude_deg: world.longitude_deg,
-        altitude_m: world.altitude_m,
-    });
+    let frame = shared.site_frame;
     answer(&shared, id, &headers, move |id, files, finished, given_up| {
         let tracks = read_tracks(files, &wanted, &frame, given_up)?;
         Ok(tracks.map(|tracks| json(&TrackAnswer::of(id, tracks, finished))))
@@ -259,8 +254,7 @@ pub(super) async fn history(
     query: Result<Query<HistoryQuery>, QueryRejection>,
 ) -> Result<Json<HistoryView>, Problem> {
     let Path(id) = id.map_err(malformed)?;
-    let Query(HistoryQuery { since }) = query.map_err(|rejection| bad(rejection.body_text()))?;
-    let since = since.map(|text| moment("since", &text)).transpose()?;
+    let since = time("since", understood(query)?.since.as_deref())?;
     if shared.frame().machine(&id).is_none() {
         return Err(Problem::not_found("machine", &id));
     }
@@ -334,32 +328,17 @@ fn json(value: &impl Serialize) -> Vec<u8> {
     serde_json::to_vec(value).expect("numbers, texts and lists have a form in JSON")
 }
 
-fn bad(detail: impl Into<String>) -> Problem {
-    Problem::new(StatusCode::BAD_REQUEST, detail)
-}
-
 fn wanted(query: Result<Query<TrackQuery>, QueryRejection>) -> Result<Wanted, Problem> {
-    let Query(TrackQuery { machine, from, to, step_s }) =
-        query.map_err(|rejection| bad(rejection.body_text()))?;
+    let TrackQuery { machine, from, to, step_s } = understood(query)?;
     let least = STEP_LEAST.as_seconds();
     if let Some(step_s) = step_s.filter(|step_s| !(least..=STEP_MOST_S).contains(step_s)) {
         return Err(bad(format!("step_s is {step_s}, must be from {least} to {STEP_MOST_S}")));
     }
-    let from = from.map(|text| moment("from", &text)).transpose()?;
-    let to = to.map(|text| moment("to", &text)).transpose()?;
+    let (from, to) = (time("from", from.as_deref())?, time("to", to.as_deref())?);
     if from.zip(to).is_some_and(|(from, to)| from >= to) {
         return Err(bad("from must be before to"));
     }
     Ok(Wanted { machine, from, to, step: step_s.map(Span::from_seconds) })
-}
-
-fn moment(name: &str, text: &str) -> Result<Stamp, Problem> {
-    let wrong = || {
-        let text: String = text.chars().take(80).collect();
-        bad(format!("{name} is {text:?}, must be a time such as 2026-11-23T05:00:00Z"))
-    };
-    let timestamp: jiff::Timestamp = text.parse().map_err(|_| wrong())?;
-    i64::try_from(timestamp.as_nanosecond()).map(Stamp::from_nanos).map_err(|_| wrong())
 }
 
 fn rounded(value: f64, places: i32) -> f64 {

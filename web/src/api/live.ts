@@ -5,8 +5,8 @@
  * connection is asked about by one plain request, so that a half-open one is found as well.
  */
 
-import { checkLiveMessage, MessageError } from "./check";
 import type { AlertView } from "./alerts";
+import { checkLiveMessage, MessageError } from "./check";
 import type { Delta, Snapshot } from "./types";
 
 export interface LiveHandlers {

@@ -2,7 +2,7 @@
 
 import { type Check, list, nullable, number, object, oneOf, text, time, vector3 } from "./checking";
 import { askFor, withQuery } from "./http";
-import { type FixState, FIX_STATES, type Vector3 } from "./types";
+import { FIX_STATES, type FixState, type Vector3 } from "./types";
 
 export const ENDINGS = ["recovered", "link_back", "restarted", "unheard"] as const;
 export type Ending = (typeof ENDINGS)[number];

@@ -1,6 +1,6 @@
 /** Recordings: the list, what people write to them, start and stop, and what machines did in them. */
 
-import { checkSessions, checkTrack, checkEvents, sessionView } from "./check";
+import { checkEvents, checkSessions, checkTrack, sessionView } from "./check";
 import { ask, askFor, LONG_PATIENCE_MS, withQuery } from "./http";
 import type { EventsAnswer, SessionsView, SessionView, TrackAnswer } from "./types";
 

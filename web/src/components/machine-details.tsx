@@ -1,6 +1,7 @@
 /** Everything the site says about one machine: numbers, the last minute, sensors, the outage. */
 
 import type { OutageReport, PoseView } from "../api/types";
+import { paths } from "../route";
 import { HEALTH_FRESH_S, healthAge_s, poseAge_s, poseFresh_s } from "../store/freshness";
 import type { Machine, State } from "../store/store";
 import { useSpeech } from "../text";
@@ -19,6 +20,9 @@ export function MachineDetails({ machine, state }: DetailsProps) {
   const healthAge = healthAge_s(state, machine);
   return (
     <section class="details" aria-label={text.details.title(view.name)}>
+      <p>
+        <a href={paths.machine(view.id)}>{text.machine.page}</a>
+      </p>
       <h3>{text.details.lastMinute}</h3>
       <HistoryPlot name={view.name} trace={machine.trace} now_ms={state.now_ms} />
       <h3>{text.details.numbers}</h3>
@@ -35,7 +39,7 @@ export function MachineDetails({ machine, state }: DetailsProps) {
   );
 }
 
-function Numbers({ machine, state }: DetailsProps) {
+export function Numbers({ machine, state }: DetailsProps) {
   const { text, format } = useSpeech();
   const { pose, health, link, boot } = machine.view;
   const poseAge = { age_s: poseAge_s(state, machine), fresh_s: poseFresh_s(machine) };
@@ -100,7 +104,7 @@ function PoseNumbers({ pose, age }: { pose: PoseView; age: { age_s: number | nul
   );
 }
 
-function Outage({ outage, stamp_ns }: { outage: OutageReport | null; stamp_ns: number | null }) {
+export function Outage({ outage, stamp_ns }: { outage: OutageReport | null; stamp_ns: number | null }) {
   const { text, format } = useSpeech();
   if (outage === null) return <p class="empty">{text.details.outageNone}</p>;
   const end_ns = outage.end_stamp_ns ?? stamp_ns;

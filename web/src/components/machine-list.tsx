@@ -1,6 +1,11 @@
 /** All machines with one plain state word each; the accessible twin of the plan. */
 
+import { useSignal } from "@preact/signals";
+import { useMemo } from "preact/hooks";
 import type { Health } from "../api/types";
+import { SiteFrame } from "../geometry/geodesy";
+import { placeText } from "../plan/plan";
+import { paths } from "../route";
 import { useDesk } from "../store/context";
 import {
   HEALTH_FRESH_S,
@@ -13,28 +18,114 @@ import {
 import type { Machine, State } from "../store/store";
 import { horizontalSigma_m } from "../store/trace";
 import { type Text, useSpeech } from "../text";
+import { BudgetLine } from "./budget";
 import { Field } from "./field";
 import { SeverityIcon } from "./icons";
 import { MachineDetails } from "./machine-details";
 
-export function MachineList() {
+/** With more machines, a line each is easier to read than a card each. */
+const CARDS_MAX = 8;
+
+/** `brief` leaves out what only the live page knows. */
+export function MachineList({ brief = false }: { brief?: boolean }) {
   const { store } = useDesk();
   const { text } = useSpeech();
   const state = store.calm.value;
+  const wish = useSignal<boolean | null>(null);
+  const table = wish.value ?? (!brief && state.machines.size > CARDS_MAX);
   return (
     <section class="machines" id="machines" aria-labelledby="machines-title" tabIndex={-1}>
-      <h2 id="machines-title">
-        {text.machines.title} <span class="count">{state.machines.size}</span>
-      </h2>
+      <div class="machines-head">
+        <h2 id="machines-title">
+          {text.machines.title} <span class="count">{state.machines.size}</span>
+        </h2>
+        {!brief && (
+          <button type="button" class="button" aria-pressed={table} onClick={() => (wish.value = !table)}>
+            {text.machines.table}
+          </button>
+        )}
+      </div>
       {state.machines.size === 0 && (
         <p class="empty">{state.site === null ? text.machines.waiting : text.machines.none}</p>
       )}
-      <ul class="machine-list">
-        {[...state.machines].map(([id, machine]) => (
-          <MachineCard key={id} id={id} machine={machine} state={state} />
-        ))}
-      </ul>
+      {table && state.machines.size > 0 ? (
+        <MachineTable state={state} />
+      ) : (
+        <ul class="machine-list">
+          {[...state.machines].map(([id, machine]) => (
+            <MachineCard key={id} id={id} machine={machine} state={state} brief={brief} />
+          ))}
+        </ul>
+      )}
     </section>
+  );
+}
+
+/** A line for each machine: the plan in words, also for those who do not see it. */
+function MachineTable({ state }: { state: State }) {
+  const { choices } = useDesk();
+  const { text, format } = useSpeech();
+  const world = state.site?.world;
+  const frame = useMemo(
+    () => (world === undefined ? null : new SiteFrame(world)),
+    [world?.latitude_deg, world?.longitude_deg, world?.altitude_m],
+  );
+  return (
+    <div class="table-scroll">
+      <table class="table machine-table">
+        <thead>
+          <tr>
+            <th scope="col">{text.machines.title}</th>
+            <th scope="col">{text.machines.state}</th>
+            <th scope="col">{text.fields.positionSigma}</th>
+            <th scope="col">{text.fields.headingSigma}</th>
+            <th scope="col">{text.fields.worstTest}</th>
+            <th scope="col">{text.machines.place}</th>
+            <th scope="col">{text.details.ageColumn}</th>
+          </tr>
+        </thead>
+        <tbody>
+          {[...state.machines].map(([id, machine]) => {
+            const { pose, health, name, state_word } = machine.view;
+            const severity = shownSeverity(state, machine);
+            const age_s = poseAge_s(state, machine);
+            return (
+              <tr
+                key={id}
+                data-machine={id}
+                data-presence={machine.view.presence}
+                class={`${isStale(state, machine) ? "stale" : ""}${choices.selected.value === id ? " selected" : ""}`}
+              >
+                <th scope="row">
+                  <button type="button" class="row-button" onClick={() => (choices.selected.value = id)}>
+                    <SeverityIcon severity={severity} />
+                    {name}
+                  </button>
+                </th>
+                <td class={`severity-${severity}`}>
+                  <a href={paths.machine(id)}>{state_word}</a>
+                </td>
+                <td>{pose === null ? "–" : format.smallLength(horizontalSigma_m(pose))}</td>
+                <td>{format.degrees(pose?.heading_sigma_deg ?? null, 2)}</td>
+                <td>{format.number(health?.report.worst_test_ratio ?? null, 2)}</td>
+                <td>
+                  {pose === null || frame === null
+                    ? "–"
+                    : placeText(
+                        [pose.cabin_position_m[0], pose.cabin_position_m[1]],
+                        choices.coordinates.value,
+                        frame,
+                        format,
+                        text.plan,
+                      )}
+                </td>
+                <td>{format.age(age_s)}</td>
+              </tr>
+            );
+          })}
+        </tbody>
+      </table>
+    </div>
   );
 }
 
@@ -42,6 +133,7 @@ interface CardProps {
   id: string;
   machine: Machine;
   state: State;
+  brief: boolean;
 }
 
 /** What the estimate rests on; a machine without a lidar does not claim one. */
@@ -50,7 +142,7 @@ function restsOn({ mode, sensors }: Health, text: Text): string {
   return mode === "main" && !lidar ? text.mainWithoutLidar : text.mode[mode];
 }
 
-function MachineCard({ id, machine, state }: CardProps) {
+function MachineCard({ id, machine, state, brief }: CardProps) {
   const { choices } = useDesk();
   const { text, format } = useSpeech();
   const { view } = machine;
@@ -113,7 +205,8 @@ function MachineCard({ id, machine, state }: CardProps) {
           {text.fields.waitsFor}: {health.report.waits_for}
         </p>
       )}
-      {selected && <MachineDetails machine={machine} state={state} />}
+      {!brief && <BudgetLine gnss={view.gnss} />}
+      {selected && !brief && <MachineDetails machine={machine} state={state} />}
     </li>
   );
 }

@@ -174,7 +174,16 @@ export class PlanPainter {
     const measure = this.extras.measure.value;
     const extra = this.extras.shapes.value;
     const { palette } = this;
-    const wanted = [state.machines, state.link.phase, selected, palette, metresPerPixel, stale, measure, extra];
+    const wanted = [
+      state.machines,
+      state.link.phase,
+      selected,
+      palette,
+      metresPerPixel,
+      stale,
+      measure,
+      extra,
+    ];
     // Time passes more often than anything changes.
     if (!moved && wanted.every((value, index) => value === this.drawn[index])) return;
     this.drawn = wanted;
@@ -239,7 +248,8 @@ export class PlanPainter {
       const { pose, name, state_word } = machine.view;
       if (pose === null) continue;
       const [x, y] = this.view.toPixels(axisOf(pose));
-      if (x < -OUTSIDE_PX || y < -OUTSIDE_PX || x > width_px + OUTSIDE_PX || y > height_px + OUTSIDE_PX) continue;
+      if (x < -OUTSIDE_PX || y < -OUTSIDE_PX || x > width_px + OUTSIDE_PX || y > height_px + OUTSIDE_PX)
+        continue;
       const stale = isStale(state, machine);
       const severity = shownSeverity(state, machine);
       const crowded = state.machines.size > WORDY_MACHINES_MAX && severity === "good";

@@ -82,7 +82,11 @@ export function Plan({ features = [], shadow = [], extra, children, onReady }: P
   const selected = choices.selected.value;
   const machine = selected === null ? undefined : store.calm.value.machines.get(selected);
   return (
-    <section class={`plan${recorded ? " plan-recorded" : ""}`} aria-label={text.plan.title} data-drawing="canvas">
+    <section
+      class={`plan${recorded ? " plan-recorded" : ""}`}
+      aria-label={text.plan.title}
+      data-drawing="canvas"
+    >
       <div class="plan-canvas" ref={place} />
       {painter.value !== null && (
         <Overlay furniture={painter.value.furniture} onPick={(id) => (choices.selected.value = id)} />
@@ -155,7 +159,9 @@ function Readout({
           ? text.plan.measureHint
           : text.plan.measured(
               format.metres(total_m, 2),
-              format.bearing((Math.atan2(last.to[0] - last.from[0], last.to[1] - last.from[1]) * 180) / Math.PI),
+              format.bearing(
+                (Math.atan2(last.to[0] - last.from[0], last.to[1] - last.from[1]) * 180) / Math.PI,
+              ),
             )}
       </p>
     );

@@ -1,7 +1,7 @@
 /** The site's own plan and the map of its GNSS shadows, from GeoJSON to paths in metres. */
 
-import { askFor, ask, ApiError, withQuery } from "../api/http";
-import { type Check, list, number, object, record, MessageError } from "../api/checking";
+import { type Check, list, MessageError, number, object, record } from "../api/checking";
+import { ApiError, ask, askFor, withQuery } from "../api/http";
 import type { LngLat, Metres, SiteFrame } from "../geometry/geodesy";
 import type { Palette } from "./palette";
 import type { PlanWord, Underlay } from "./view";

@@ -15,7 +15,9 @@ export const openAlerts: ReadonlySignal<readonly AlertView[]> = computed(() => {
 });
 
 /** Those that nobody has seen. */
-export const unseenAlerts = computed(() => openAlerts.value.filter(({ acknowledged }) => acknowledged === null));
+export const unseenAlerts = computed(() =>
+  openAlerts.value.filter(({ acknowledged }) => acknowledged === null),
+);
 
 export function takeAlerts(alerts: readonly AlertView[]): void {
   open.value = alerts;

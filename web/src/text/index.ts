@@ -1,5 +1,6 @@
 /** Chooses the page's language: `?lang=de` or the browser's wish, English otherwise. */
 
+import { type ReadonlySignal, signal } from "@preact/signals";
 import { createContext } from "preact";
 import { useContext } from "preact/hooks";
 
@@ -25,9 +26,16 @@ export interface Speech {
   format: Format;
 }
 
-export const SpeechContext = createContext<Speech>({ text: en, format: new Format("en") });
+interface Spoken {
+  text: Text;
+  /** Changes with the zone in which times are told. */
+  format: ReadonlySignal<Format>;
+}
+
+export const SpeechContext = createContext<Spoken>({ text: en, format: signal(new Format("en")) });
 
 /** Words and numbers in the page's language. */
 export function useSpeech(): Speech {
-  return useContext(SpeechContext);
+  const { text, format } = useContext(SpeechContext);
+  return { text, format: format.value };
 }

@@ -1,0 +1,53 @@
+/** What happened to a machine, in words and colours. */
+
+import type { MachineEvent, SessionEvent } from "../api/types";
+import type { Format } from "../format";
+import type { Text } from "../text";
+
+/** Whether one would jump to it: refused readings and changes within the estimator are for its makers. */
+export function isMark({ event }: SessionEvent): boolean {
+  return event.kind !== "refused" && event.kind !== "graph_changed";
+}
+
+export function eventColour(event: MachineEvent): string {
+  if (event.kind === "outage_ended" || event.kind === "initialized") return "--good";
+  if (event.kind === "outage_began") return "--bad";
+  return { info: "--accent", warning: "--warning", error: "--bad" }[event.severity];
+}
+
+export function eventWords(event: MachineEvent, text: Text, format: Format): string {
+  const words = text.events;
+  switch (event.kind) {
+    case "mode_changed":
+      return words.mode(named(text.mode, event.from), named(text.mode, event.to));
+    case "gnss_changed":
+      return words.gnss(named(text.gnss, event.from), named(text.gnss, event.to));
+    case "graph_changed":
+      return words.graph(event.from ?? "", event.to ?? "", event.reason ?? "");
+    case "initialized":
+      return words.initialized(event.heading_from ?? "");
+    case "refused":
+      return words.refused(
+        format.count(event.count ?? 1),
+        named(text.sensor, event.sensor),
+        event.reason ?? "",
+      );
+    case "outage_began":
+      return words.outageBegan(named(text.gnss, event.cause));
+    case "outage_ended": {
+      const { start_stamp_ns: start, end_stamp_ns: end } = event;
+      const lasted_s = start === undefined || end == null ? null : (end - start) / 1e9;
+      return words.outageEnded(
+        format.span(lasted_s),
+        format.metres(event.travelled_m ?? null, 1),
+        format.smallLength(event.jump_m ?? null),
+      );
+    }
+    case "restarted":
+      return words.restarted(event.reason ?? "");
+  }
+}
+
+function named(names: Record<string, string>, key: string | undefined): string {
+  return key === undefined ? "" : (names[key] ?? key);
+}

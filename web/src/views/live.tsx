@@ -1,0 +1,132 @@
+/** Where every machine is now, and how far that can be trusted. */
+
+import { useSignal } from "@preact/signals";
+import { useEffect, useMemo } from "preact/hooks";
+import { reasonOf } from "../api/http";
+import type { ViewProps } from "../app";
+import { MachineList } from "../components/machine-list";
+import { SiteFrame } from "../geometry/geodesy";
+import { Plan } from "../plan/plan";
+import {
+  fetchPlan,
+  fetchShadow,
+  type PlanFeature,
+  putPlan,
+  readPlan,
+  type ShadowCell,
+} from "../plan/site-plan";
+import { useDesk } from "../store/context";
+import { mayAdminister } from "../store/people";
+import { useSpeech } from "../text";
+
+const SHADOW_REFRESH_MS = 60_000;
+const SHADOW_CELL_M = 2;
+
+export default function LiveView(_props: ViewProps) {
+  const { choices } = useDesk();
+  const { text } = useSpeech();
+  const plan = useSitePlan();
+  const shadow = useShadow(choices.shadow.value);
+  return (
+    <>
+      <Plan features={plan.features} shadow={shadow}>
+        <button
+          type="button"
+          aria-pressed={choices.shadow.value}
+          title={text.plan.shadowHint}
+          onClick={() => (choices.shadow.value = !choices.shadow.value)}
+        >
+          {text.plan.shadow}
+        </button>
+        {mayAdminister.value && (
+          <label class="button file-button">
+            {text.plan.upload}
+            <input
+              type="file"
+              class="visually-hidden"
+              accept=".geojson,.json,application/geo+json"
+              onChange={(event) => {
+                const [file] = event.currentTarget.files ?? [];
+                event.currentTarget.value = "";
+                if (file !== undefined) void plan.upload(file);
+              }}
+            />
+          </label>
+        )}
+        {plan.said !== null && (
+          <p class="plan-said" role="status">
+            {plan.said}
+          </p>
+        )}
+      </Plan>
+      <div class="side">
+        <h1 class="visually-hidden">{text.views.live}</h1>
+        <MachineList />
+      </div>
+    </>
+  );
+}
+
+/** The frame of the site; the same object as long as its origin is. */
+export function useSiteFrame(): SiteFrame | null {
+  const { store } = useDesk();
+  const world = store.calm.value.site?.world ?? null;
+  const key = world === null ? "" : `${world.latitude_deg} ${world.longitude_deg} ${world.altitude_m}`;
+  return useMemo(() => (world === null ? null : new SiteFrame(world)), [key]);
+}
+
+/** The site's own plan. */
+export function useSitePlan() {
+  const { text } = useSpeech();
+  const frame = useSiteFrame();
+  const features = useSignal<readonly PlanFeature[]>([]);
+  const said = useSignal<string | null>(null);
+  const fetchNow = async () => {
+    if (frame === null) return;
+    try {
+      features.value = await fetchPlan(frame);
+    } catch (error) {
+      said.value = text.plan.planFailed(reasonOf(error));
+    }
+  };
+  useEffect(() => void fetchNow(), [frame]);
+  const upload = async (file: File) => {
+    said.value = null;
+    try {
+      if (frame !== null) readPlan(JSON.parse(await file.text()), frame);
+      await putPlan(file);
+      await fetchNow();
+      said.value = text.plan.uploaded;
+    } catch (error) {
+      said.value = text.plan.planFailed(reasonOf(error));
+    }
+  };
+  return { features: features.value, said: said.value, upload };
+}
+
+/** Where GNSS was missing in the last week. */
+export function useShadow(wanted: boolean): readonly ShadowCell[] {
+  const cells = useSignal<readonly ShadowCell[]>([]);
+  useEffect(() => {
+    if (!wanted) {
+      cells.value = [];
+      return;
+    }
+    let gone = false;
+    const refresh = async () => {
+      try {
+        const found = await fetchShadow({ cell_m: SHADOW_CELL_M });
+        if (!gone) cells.value = found;
+      } catch {
+        // The layer stays as it was; the banner says if the site is gone.
+      }
+    };
+    void refresh();
+    const timer = window.setInterval(refresh, SHADOW_REFRESH_MS);
+    return () => {
+      gone = true;
+      window.clearInterval(timer);
+    };
+  }, [wanted]);
+  return cells.value;
+}

@@ -1,0 +1,175 @@
+/** One machine: what it says now, and the last hour of it. */
+
+import { useSignal } from "@preact/signals";
+import { useEffect } from "preact/hooks";
+import { fetchHistory } from "../api/machines";
+import { fetchOutages } from "../api/outages";
+import type { StatePoint } from "../api/types";
+import type { ViewProps } from "../app";
+import { useAsked } from "../components/async";
+import { BudgetLine } from "../components/budget";
+import { SeverityIcon } from "../components/icons";
+import { Numbers, Outage } from "../components/machine-details";
+import { SensorTable } from "../components/sensor-table";
+import { StateLanes, StatePlots } from "../components/state-plots";
+import { paths } from "../route";
+import { useDesk } from "../store/context";
+import { HEALTH_FRESH_S, healthAge_s, isStale, shownSeverity } from "../store/freshness";
+import { useSpeech } from "../text";
+
+const REFRESH_MS = 2_000;
+const SPANS_MIN = [5, 15, 60] as const;
+/** The server keeps an hour. */
+const KEPT_S = 3_600;
+
+export default function MachineView({ route }: ViewProps) {
+  const id = route.id ?? "";
+  const { store } = useDesk();
+  const { text, format } = useSpeech();
+  const state = store.calm.value;
+  const machine = state.machines.get(id);
+  const minutes = useSignal<number>(15);
+  const past = usePast(id);
+  const recent = useAsked(id, () => fetchOutages({ machine: id }), 30_000);
+  if (machine === undefined) {
+    return (
+      <div class="sheet">
+        <h1>{id}</h1>
+        <p class="empty">{state.site === null ? text.machines.waiting : text.machine.unknown}</p>
+      </div>
+    );
+  }
+  const { view } = machine;
+  const severity = shownSeverity(state, machine);
+  const healthAge = healthAge_s(state, machine);
+  const to_s = (state.siteTime_ms ?? Date.now()) / 1000;
+  const span: [number, number] = [to_s - minutes.value * 60, to_s];
+  const tolerance_m = view.gnss.outage?.budget?.tolerance_m ?? null;
+  const taking = (view.health?.report.sensors ?? []).filter(({ rate_hz }) => rate_hz > 0);
+  return (
+    <div class="sheet sheet-wide">
+      <div class={`machine-head card-${severity}${isStale(state, machine) ? " stale-card" : ""}`}>
+        <SeverityIcon severity={severity} />
+        <h1>{view.name}</h1>
+        <span class="state-word">{view.state_word}</span>
+        <span class="machine-links">
+          <a href={paths.live()}>{text.machine.onPlan}</a>
+          <a
+            href={`${paths.outages()}${paths.outages().includes("?") ? "&" : "?"}machine=${encodeURIComponent(id)}`}
+          >
+            {text.views.outages}
+          </a>
+        </span>
+      </div>
+      <BudgetLine gnss={view.gnss} />
+      <div class="machine-columns">
+        <section aria-labelledby="plots-title">
+          <div class="section-head">
+            <h2 id="plots-title">{text.machine.past}</h2>
+            <fieldset class="choice" aria-label={text.machine.span}>
+              {SPANS_MIN.map((choice) => (
+                <button
+                  key={choice}
+                  type="button"
+                  aria-pressed={minutes.value === choice}
+                  onClick={() => (minutes.value = choice)}
+                >
+                  {text.machine.minutes(choice)}
+                </button>
+              ))}
+            </fieldset>
+            <span class="zone">{text.machine.timesIn(format.zoneName(to_s * 1000))}</span>
+          </div>
+          {past.length === 0 && <p class="empty">{text.machine.noPast}</p>}
+          <StateLanes states={past} span={span} />
+          <StatePlots states={past} span={span} tolerance_m={tolerance_m} />
+        </section>
+        <div class="machine-facts">
+          <section aria-labelledby="numbers-title">
+            <h2 id="numbers-title">{text.details.numbers}</h2>
+            <Numbers machine={machine} state={state} />
+          </section>
+          <section aria-labelledby="sensors-title">
+            <h2 id="sensors-title">{text.details.sensors}</h2>
+            <p class="takes-part">
+              {taking.length === 0
+                ? text.machine.noSensorNow
+                : text.machine.takesPart(taking.map(({ sensor }) => text.sensor[sensor]).join(", "))}
+            </p>
+            <SensorTable
+              sensors={view.health?.report.sensors ?? []}
+              extraAge_s={healthAge}
+              stale={healthAge !== null && healthAge > HEALTH_FRESH_S}
+            />
+          </section>
+          <section aria-labelledby="outage-title">
+            <h2 id="outage-title">{text.details.outage}</h2>
+            <Outage
+              outage={view.health?.report.outage ?? null}
+              stamp_ns={view.health?.report.stamp_ns ?? null}
+            />
+            <ul class="plain-list">
+              {(recent.value?.outages ?? []).slice(0, 8).map((outage) => (
+                <li key={outage.id}>
+                  <a href={paths.outage(outage.id)}>{format.dateTime(Date.parse(outage.start))}</a>{" "}
+                  {text.fix[outage.cause]}, {format.span(outage.duration_s)}
+                </li>
+              ))}
+            </ul>
+          </section>
+          <section aria-labelledby="about-title">
+            <h2 id="about-title">{text.machine.about}</h2>
+            <dl class="pairs">
+              <dt>{text.machine.id}</dt>
+              <dd>{view.id}</dd>
+              <dt>{text.machine.software}</dt>
+              <dd>{view.software === "" ? text.fields.unknown : `holdfast ${view.software}`}</dd>
+              <dt>{text.fields.boot}</dt>
+              <dd>{view.boot === "" ? text.fields.unknown : view.boot}</dd>
+              {view.health !== null && (
+                <>
+                  <dt>{text.machine.inflation}</dt>
+                  <dd>
+                    {view.health.report.gnss_inflation.map((times) => format.number(times, 2)).join(" / ")}
+                  </dd>
+                  <dt>{text.machine.updates}</dt>
+                  <dd>{format.count(view.health.report.updates)}</dd>
+                </>
+              )}
+            </dl>
+          </section>
+        </div>
+      </div>
+    </div>
+  );
+}
+
+/** The last hour, with the site's clock as time; asks only for what is new. */
+function usePast(id: string): readonly StatePoint[] {
+  const states = useSignal<readonly StatePoint[]>([]);
+  useEffect(() => {
+    let gone = false;
+    let since: string | null = null;
+    states.value = [];
+    const refresh = async () => {
+      try {
+        const answer = await fetchHistory(id, since);
+        if (gone || answer.start === null) return;
+        const start_s = Date.parse(answer.start) / 1000;
+        since = answer.last;
+        const fresh = answer.states.map((state) => ({ ...state, time_s: start_s + state.time_s }));
+        const oldest_s = (fresh.at(-1)?.time_s ?? start_s) - KEPT_S;
+        states.value = [...states.value.filter(({ time_s }) => time_s >= oldest_s), ...fresh];
+      } catch {
+        // What is there stays; the banner says if the site is gone.
+      }
+    };
+    void refresh();
+    const timer = window.setInterval(refresh, REFRESH_MS);
+    return () => {
+      gone = true;
+      window.clearInterval(timer);
+    };
+  }, [id]);
+  return states.value;
+}
