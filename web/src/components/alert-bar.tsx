@@ -18,7 +18,7 @@ export function AlertBar() {
   return (
     <div class={`banner alert-bar alert-${first.severity}`} role="status" data-alert-bar>
       <span class="alert-severity">{text.alerts.severities[first.severity]}</span>
-      <a href={paths.alerts()}>
+      <a class="alert-link" href={paths.alerts()}>
         {alertWords(first, store.calm.value.machines.get(first.machine ?? "")?.view.name)}
       </a>
       <span class="alert-when">

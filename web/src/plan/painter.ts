@@ -244,7 +244,12 @@ export class PlanPainter {
     const body_px = LABEL_LIFT_M / this.view.metresPerPixel();
     const lift_px = Math.min(LABEL_LIFT_MAX_PX, Math.max(LABEL_LIFT_MIN_PX, body_px));
     const placed: (Label & { half_px: number })[] = [];
-    for (const [id, machine] of state.machines) {
+    // Who needs attention has the first choice of places.
+    const rank = { bad: 0, warning: 1, offline: 2, good: 3 };
+    const inOrder = [...state.machines].sort(
+      ([, a], [, b]) => rank[shownSeverity(state, a)] - rank[shownSeverity(state, b)],
+    );
+    for (const [id, machine] of inOrder) {
       const { pose, name, state_word } = machine.view;
       if (pose === null) continue;
       const [x, y] = this.view.toPixels(axisOf(pose));
@@ -261,6 +266,8 @@ export class PlanPainter {
       const label = { id, name, word, severity, stale, selected, x: inside_px, y: y - lift_px, half_px };
       // Machines that stand close together: one label above the other.
       let below = placed.find((other) => overlap(label, other));
+      // In a crowd, those that are well can do without a label: their symbols are there, and the list.
+      if (below !== undefined && crowded && !selected) continue;
       for (let step = 0; below !== undefined && step < placed.length; step += 1) {
         label.y = below.y - LABEL_HEIGHT_PX;
         below = placed.find((other) => overlap(label, other));

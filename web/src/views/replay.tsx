@@ -215,7 +215,9 @@ function Player({ answer, events, site, query }: PlayerProps) {
         <Clock replay={replay} />
         {!answer.finished && <span class="recorded-note">{text.replay.unfinished}</span>}
         {session !== undefined && session.notes !== "" && <span class="recorded-note">{session.notes}</span>}
-        <a href={paths.live()}>{text.replay.toLive}</a>
+        <a class="to-live" href={paths.live()}>
+          {text.replay.toLive}
+        </a>
       </div>
       <div class="replay-top">
         <Plan features={plan.features} />
