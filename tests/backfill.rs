@@ -138,6 +138,43 @@ fn whoever_is_killed_nothing_of_what_machines_recorded_is_missing_in_the_end() {
     }
 }
 
+#[test]
+fn what_was_being_fetched_when_somebody_stopped_the_recording_is_in_the_next_one() {
+    let yard = yard("backfill-stop");
+    let (mut site, address) = yard.site();
+    let mut machine = yard.machine(MACHINE);
+    until(&address, MACHINE, "live", is_live);
+    yard.proxy.set(Link::Cut);
+    std::thread::sleep(Duration::from_secs(15));
+    yard.proxy.set(Link::Whole);
+    until(&address, MACHINE, "fetched from", |view| {
+        view["link"]["gaps_filled"].as_u64() > Some(0) && !lacks_nothing(view)
+    });
+    let session = fleet::get(&address, "/api/v1/sessions").expect("answers")["recording"]["session"].clone();
+    let stop = format!("/api/v1/sessions/{}/stop", session.as_str().expect("one runs"));
+    assert_eq!(fleet::post(&address, &stop).expect("answers")["state"], "complete");
+    std::thread::sleep(Duration::from_secs(1));
+    assert!(!lacks_nothing(&machine_view(&address, MACHINE).expect("answers")), "all was fetched before");
+    assert_eq!(fleet::post(&address, "/api/v1/sessions").expect("answers")["state"], "recording");
+    until_complete(&address, MACHINE);
+    machine.end();
+    std::thread::sleep(Duration::from_millis(500));
+    site.end();
+    // What came by itself while nothing was recorded, one run of each topic, is not there; all else is.
+    let on_board = contents(&yard.on_board(MACHINE), MACHINE);
+    let recorded = contents(&yard.recordings(), MACHINE);
+    assert_eq!(recorded.doubles, []);
+    let mut missing: BTreeMap<Topic, Vec<u64>> = BTreeMap::new();
+    for (_, topic, number) in on_board.messages.keys().filter(|name| !recorded.messages.contains_key(*name)) {
+        missing.entry(*topic).or_default().push(*number);
+    }
+    for (topic, numbers) in missing {
+        let (first, last) = (numbers[0], numbers[numbers.len() - 1]);
+        assert_eq!(last - first + 1, numbers.len() as u64, "{topic}: {numbers:?}");
+        assert!(numbers.len() < 300, "{topic}: {numbers:?}");
+    }
+}
+
 /// The gaps that a file tells of: topic, cause, and how many messages.
 fn told_gaps(path: &Path) -> Vec<(String, String, u64)> {
     let bytes = std::fs::read(path).expect("reads");

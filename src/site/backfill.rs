@@ -126,6 +126,12 @@ pub(super) struct Outlets {
     pub clock: SiteClock,
 }
 
+impl Outlets {
+    fn records(&self) -> bool {
+        self.progress.borrow().state == RecordingState::Recording
+    }
+}
+
 /// Books that were opened, before anybody writes.
 pub(super) struct Opened {
     pub books: Books,
@@ -343,7 +349,7 @@ impl Fetching {
 
     /// Starts what is due.
     fn look(&mut self, frame: &Frame, now: Instant) {
-        let records = self.outlets.progress.borrow().state == RecordingState::Recording;
+        let records = self.outlets.records();
         for view in &frame.view.machines {
             let asked = self.machines.entry(view.id.clone()).or_insert_with(|| Asked::new(now));
             let connected = view.presence != Presence::Lost;
@@ -464,6 +470,7 @@ impl Job {
         wanted: &mut Wanted,
         begun: Instant,
     ) -> Result<Option<u64>, String> {
+        self.must_record()?;
         let some =
             |(topic, ranges): (&Topic, &Vec<_>)| (*topic, ranges[..ranges.len().min(RANGES_ASKED)].to_vec());
         let asked: Wanted = wanted.iter().map(some).collect();
@@ -490,7 +497,7 @@ impl Job {
             let machine = Arc::clone(&self.machine);
             let received = self.outlets.clock.now();
             let inbound = Inbound { machine, topic, payload: payload.into(), attachment, received };
-            self.hand_over(Command::Write(inbound)).await?;
+            self.hand_over(Command::Fetched(inbound)).await?;
         }
         self.written(boot, &numbers).await?;
         let mut moved = count > 0;
@@ -519,10 +526,16 @@ impl Job {
         Ok(Some(count))
     }
 
+    /// What nobody writes need not be fetched.
+    fn must_record(&self) -> Result<(), String> {
+        if self.outlets.records() { Ok(()) } else { Err("nothing is recorded now".to_owned()) }
+    }
+
     /// Waits until the recorder has written a piece, so that never more than one is in its channel.
     async fn written(&self, boot: BootId, numbers: &BTreeMap<Topic, Ranges>) -> Result<(), String> {
         let begun = Instant::now();
         while self.books.lock().count_missing(&self.machine, boot, numbers) > 0 {
+            self.must_record()?;
             if begun.elapsed() > WRITE_TIMEOUT {
                 return Err("the recorder does not write".to_owned());
             }

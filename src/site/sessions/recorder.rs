@@ -68,8 +68,10 @@ pub(in crate::site) enum Refusal {
 /// What the thread is asked.
 #[derive(Debug)]
 pub(in crate::site) enum Command {
-    /// A message, also one that comes late.
+    /// A message that came by itself.
     Write(Inbound),
+    /// A message that was fetched because a recording lacks it. It still does if nothing is recorded now.
+    Fetched(Inbound),
     /// A metadata record.
     Note {
         name: &'static str,
@@ -235,7 +237,14 @@ impl Desk {
     fn run(mut self, commands: &Receiver<Command>, counters: &Counters) {
         loop {
             match commands.recv_timeout(TURN) {
-                Ok(Command::Write(inbound)) => self.write(&inbound),
+                Ok(Command::Write(inbound)) => {
+                    if !self.write(&inbound) {
+                        self.do_without(&inbound);
+                    }
+                }
+                Ok(Command::Fetched(inbound)) => {
+                    self.write(&inbound);
+                }
                 Ok(Command::Note { name, entries }) => self.note(name, entries),
                 Ok(Command::Start { notes, answer }) => {
                     let started = self.start(&notes);
@@ -262,20 +271,23 @@ impl Desk {
         self.publish();
     }
 
-    fn write(&mut self, inbound: &Inbound) {
-        match &mut self.session {
-            Some(session) if session.is_open() => {
-                if let Err(error) = session.write(inbound) {
-                    self.pause(&error);
-                }
-            }
+    /// False if nothing is recorded now.
+    fn write(&mut self, inbound: &Inbound) -> bool {
+        let Some(session) = self.session.as_mut().filter(|session| session.is_open()) else { return false };
+        if let Err(error) = session.write(inbound) {
+            self.pause(&error);
+        }
+        true
+    }
+
+    fn do_without(&mut self, inbound: &Inbound) {
+        if self.progress.state == RecordingState::Paused {
             // It is fetched from the machine when the recording goes on.
-            _ if self.progress.state == RecordingState::Paused => self.progress.missed += 1,
+            self.progress.missed += 1;
+        } else {
             // Nobody wants it, later neither.
-            _ => {
-                let Attachment { boot, sequence, .. } = inbound.attachment;
-                self.books.lock().pass(&inbound.machine, boot, inbound.topic, sequence);
-            }
+            let Attachment { boot, sequence, .. } = inbound.attachment;
+            self.books.lock().pass(&inbound.machine, boot, inbound.topic, sequence);
         }
     }
 

@@ -119,6 +119,47 @@ fn shift_begins_with_a_session_of_its_own_and_late_messages_find_their_place() {
 }
 
 #[test]
+fn fetched_messages_that_come_after_the_stop_are_still_missing() {
+    let scratch = Scratch::new("stop");
+    let clock = SiteClock::starting_at(time("2026-07-01T12:00:00Z"));
+    let books = Books::default();
+    let counters = Arc::new(Counters::default());
+    let recorder = Recorder::start(&scratch.config(""), scratch.0.clone(), clock, counters, books.clone())
+        .expect("starts");
+    let inbox = recorder.inbox();
+    let at = clock.now();
+    let fetched = |sequence| match message(1, sequence, at, at) {
+        Command::Write(inbound) => Command::Fetched(inbound),
+        other => other,
+    };
+    for sequence in [0, 1, 8] {
+        inbox.send(message(1, sequence, at, at)).expect("room");
+    }
+    inbox.send(fetched(2)).expect("room");
+    let ask = |command: &dyn Fn(tokio::sync::oneshot::Sender<Answer>) -> Command| {
+        let (sender, answer) = tokio::sync::oneshot::channel();
+        inbox.send(command(sender)).expect("room");
+        answer.blocking_recv().expect("answered").expect("followed")
+    };
+    let id = recorder.progress().borrow().session.clone().expect("runs");
+    ask(&|answer| Command::Stop { id: id.clone(), answer });
+    inbox.send(fetched(3)).expect("room");
+    // Whoever stops the recording does not want what comes by itself then.
+    inbox.send(message(1, 9, at, at)).expect("room");
+    ask(&|answer| Command::Start { notes: Notes::default(), answer });
+    let missing = |numbers: std::ops::Range<u64>| {
+        let numbers = [(Topic::Event, crate::record::Ranges::from(vec![(numbers.start, numbers.end)]))];
+        books.lock().count_missing("a", BootId(1), &numbers.into())
+    };
+    assert_eq!((missing(0..3), missing(3..8), missing(8..10)), (0, 5, 0));
+    inbox.send(fetched(3)).expect("room");
+    recorder.finish();
+    let messages: usize =
+        scratch.files().iter().map(|path| crate::record::read_messages(path).expect("opens").count()).sum();
+    assert_eq!((messages, missing(3..8)), (5, 4));
+}
+
+#[test]
 fn what_is_in_the_way_is_not_overwritten_and_torn_files_are_recovered() {
     let scratch = Scratch::new("torn");
     let config = scratch.config("");
