@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use holdfast::record::{self, read_in_order, read_live_runs_of};
+use holdfast::record::{self, read_in_order, read_live_runs};
 use holdfast::replay::again;
 use holdfast::simulate::Scenario;
 use holdfast::wire::{RosMessage as _, Topic, odom_message, pose_message};
@@ -77,7 +77,7 @@ fn whatever_the_link_loses_is_in_the_recording_in_the_end_once_and_in_order() {
     assert!(of_file.windows(2).any(|pair| pair[0].sent > pair[1].sent), "nothing came late");
 
     // What was estimated on the machine is found again to the bit.
-    let runs = read_live_runs_of(refs(&files), MACHINE).expect("reads");
+    let runs = read_live_runs(refs(&files), MACHINE).expect("reads");
     let [run] = &runs[..] else { panic!("{} boots", runs.len()) };
     assert_eq!(run.gap, None);
     let scenario = Scenario::load(&yard.folder.join("scenarios/demo.toml")).expect("valid");

@@ -27,10 +27,10 @@ use super::housekeeping::Housekeeping;
 use super::retention::Retention;
 use super::running::{Progress, Rolling, Running};
 use super::schedule::Schedule;
-use super::space::{Ballast, Reserve, disk_free_bytes, is_disk_full, says_full};
+use super::space::{Ballast, Reserve, disk_free_bytes};
 use super::view::RecordingState;
 use crate::config;
-use crate::record::RecordError;
+use crate::record::{RecordError, says_full};
 use crate::site::SiteError;
 use crate::site::backfill::Books;
 use crate::site::clock::SiteClock;
@@ -72,11 +72,6 @@ pub(in crate::site) enum Command {
     Write(Inbound),
     /// A message that was fetched because a recording lacks it. It still does if nothing is recorded now.
     Fetched(Inbound),
-    /// A metadata record.
-    Note {
-        name: &'static str,
-        entries: BTreeMap<String, String>,
-    },
     /// Another session, now; the one that runs ends with the last message before.
     Start {
         notes: Notes,
@@ -120,7 +115,7 @@ impl Recorder {
         let now = clock.now();
         if let Err(error) = desk.begin(&Notes::default(), now) {
             // A full disk may have room again; what else is wrong now is wrong with the site file.
-            if !is_disk_full(&error) {
+            if !error.is_disk_full() {
                 return Err(failed(error.to_string()));
             }
             desk.pause(&error);
@@ -245,7 +240,6 @@ impl Desk {
                 Ok(Command::Fetched(inbound)) => {
                     self.write(&inbound);
                 }
-                Ok(Command::Note { name, entries }) => self.note(name, entries),
                 Ok(Command::Start { notes, answer }) => {
                     let started = self.start(&notes);
                     // Whoever asked may be gone.
@@ -291,12 +285,6 @@ impl Desk {
         }
     }
 
-    fn note(&mut self, name: &str, entries: BTreeMap<String, String>) {
-        if let Some(Err(error)) = self.session.as_mut().map(|session| session.note(name, entries)) {
-            self.pause(&error);
-        }
-    }
-
     fn tick(&mut self) {
         let now = self.clock.now();
         if let Some(Err(error)) = self.session.as_mut().map(|session| session.tick(now)) {
@@ -311,6 +299,9 @@ impl Desk {
             self.next_session(now);
         }
         if let Some(Err(error)) = self.session.as_mut().map(|session| session.roll(self.rolling, now)) {
+            self.pause(&error);
+        }
+        if let Some(Err(error)) = self.session.as_mut().map(Running::tell_lost) {
             self.pause(&error);
         }
         if self.session.as_ref().is_some_and(Running::is_full) {
@@ -385,7 +376,7 @@ impl Desk {
         if let Some(session) = &mut self.session {
             session.give_up(error, &self.ballast);
         }
-        self.wants_room = is_disk_full(error);
+        self.wants_room = error.is_disk_full();
         let why = match self.wants_room {
             true => format!("the disk is full: {error}"),
             false => error.to_string(),

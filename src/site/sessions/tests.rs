@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use super::*;
 use crate::config;
-use crate::record::{Checker, RecordWriter};
+use crate::record::{Checker, Gap, GapCause, RecordWriter};
 use crate::site::backfill::Books;
 use crate::site::clock::SiteClock;
 use crate::site::counters::Counters;
@@ -188,4 +188,52 @@ fn what_is_in_the_way_is_not_overwritten_and_torn_files_are_recovered() {
     recorder.finish();
     assert_eq!(files(), 2);
     assert_eq!(std::fs::read(&strange).expect("there"), b"notes of a stranger");
+}
+
+/// What the files tell of gaps: first number and cause.
+fn told_gaps(files: &[PathBuf]) -> Vec<(String, String)> {
+    let mut told = Vec::new();
+    for path in files {
+        let bytes = std::fs::read(path).expect("reads");
+        let summary = mcap::Summary::read(&bytes).expect("proper").expect("has one");
+        for index in summary.metadata_indexes.iter().filter(|index| index.name == Gap::NAME) {
+            let entries = mcap::read::metadata(&bytes, index).expect("metadata").metadata;
+            told.push((entries["from"].clone(), entries["cause"].clone()));
+        }
+    }
+    told
+}
+
+#[test]
+fn gaps_are_told_when_a_file_is_open_and_open_ones_at_the_end_of_each_session() {
+    let scratch = Scratch::new("gaps");
+    let clock = SiteClock::starting_at(time("2026-01-01T00:00:00Z"));
+    let (books, counters) = (Books::default(), Arc::new(Counters::default()));
+    let recorder = Recorder::start(&scratch.config(""), scratch.0.clone(), clock, counters, books.clone())
+        .expect("starts");
+    let inbox = recorder.inbox();
+    let ask = |command: &dyn Fn(tokio::sync::oneshot::Sender<Answer>) -> Command| {
+        let (sender, answer) = tokio::sync::oneshot::channel();
+        inbox.send(command(sender)).expect("room");
+        answer.blocking_recv().expect("answered").expect("followed")
+    };
+    for sequence in [0, 1, 8, 20] {
+        inbox.send(message(1, sequence, clock.now(), clock.now())).expect("room");
+    }
+    let id = recorder.progress().borrow().session.clone().expect("runs");
+    ask(&|answer| Command::Stop { id: id.clone(), answer });
+    let owned = |gaps: &[(&str, &str)]| -> Vec<(String, String)> {
+        gaps.iter().map(|(from, cause)| ((*from).to_owned(), (*cause).to_owned())).collect()
+    };
+    assert_eq!(told_gaps(&scratch.files()), owned(&[("2", "unreachable"), ("9", "unreachable")]));
+    // Some of it is lost while nothing is recorded.
+    let numbers = crate::record::Ranges::from(vec![(2, 5)]);
+    books.lock().lose("a", BootId(1), Topic::Event, &numbers, GapCause::Overwritten);
+    ask(&|answer| Command::Start { notes: Notes::default(), answer });
+    inbox.send(message(1, 25, clock.now(), clock.now())).expect("room");
+    recorder.finish();
+    assert!(books.lock().untold().is_empty());
+    let files = scratch.files();
+    let second = owned(&[("2", "overwritten"), ("21", "unreachable")]);
+    assert_eq!((files.len(), told_gaps(&files[1..])), (2, second));
 }
