@@ -190,6 +190,30 @@ fn what_is_in_the_way_is_not_overwritten_and_torn_files_are_recovered() {
     assert_eq!(std::fs::read(&strange).expect("there"), b"notes of a stranger");
 }
 
+#[test]
+fn people_who_write_to_a_session_at_once_do_not_undo_each_other() {
+    let scratch = Scratch::new("edit");
+    let clock = SiteClock::starting_at(time("2026-01-01T00:00:00Z"));
+    let counters = Arc::new(Counters::default());
+    let recorder = Recorder::start(&scratch.config(""), scratch.0.clone(), clock, counters, Books::default())
+        .expect("starts");
+    let catalogue = recorder.catalogue();
+    let id = recorder.progress().borrow().session.clone().expect("runs");
+    let change = |text: String| serde_json::from_str::<NotesChange>(&text).expect("a change");
+    for round in 0..20 {
+        let texts = ["name", "notes"].map(|what| format!("{{\"{what}\":\"{round}\"}}"));
+        std::thread::scope(|scope| {
+            let edits = texts.map(|text| scope.spawn(|| catalogue.edit(&id, change(text))));
+            for edit in edits {
+                assert_eq!(edit.join().expect("no panic").expect("written"), Some(Ok(())));
+            }
+        });
+        let session = catalogue.detail(&id, None).expect("there").session;
+        assert_eq!((session.name, session.notes), (round.to_string(), round.to_string()));
+    }
+    recorder.finish();
+}
+
 /// What the files tell of gaps: first number and cause.
 fn told_gaps(files: &[PathBuf]) -> Vec<(String, String)> {
     let mut told = Vec::new();
