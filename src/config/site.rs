@@ -8,7 +8,7 @@ use jiff::tz::TimeZone;
 use serde::{Deserialize, Serialize};
 
 use super::endpoint::listening;
-use super::{Checked, Violation, World, identifier, violation};
+use super::{Checked, Violation, World, identifier, violation, within};
 
 /// One site server.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -33,6 +33,17 @@ pub struct Site {
     /// What is kept.
     #[serde(default)]
     pub record: Record,
+    /// How good a position must be.
+    #[serde(default)]
+    pub tolerance: Tolerance,
+}
+
+/// How good a position must be.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Tolerance {
+    /// One sigma along the worst horizontal direction, m: up to it a machine without GNSS may work on.
+    pub position_sigma_m: f64,
 }
 
 /// Page and API.
@@ -120,6 +131,12 @@ impl Default for Record {
             keep_days: None,
             keep_gb: None,
         }
+    }
+}
+
+impl Default for Tolerance {
+    fn default() -> Self {
+        Self { position_sigma_m: 0.05 }
     }
 }
 
@@ -219,6 +236,7 @@ impl Checked for Site {
         self.zone()?;
         self.http.check()?;
         self.record.check()?;
+        within("tolerance.position_sigma_m", self.tolerance.position_sigma_m, 0.001, 100.0)?;
         if self.zenoh.listen.is_empty() {
             return violation(
                 "zenoh.listen",
@@ -250,6 +268,7 @@ mod tests {
         assert_eq!(shipped.http, Http::default());
         assert_eq!(shipped.zenoh, Zenoh::default());
         assert_eq!(shipped.record, Record::default());
+        assert_eq!(shipped.tolerance, Tolerance::default());
         assert_eq!(shipped.time_zone, utc());
     }
 
@@ -262,6 +281,7 @@ mod tests {
             ("[record]\nfile_max_mb = 0.0\n", "record.file_max_mb is 0, must be from 1 to 1e9"),
             ("[record]\nkeep_days = nan\n", "record.keep_days is NaN"),
             ("[record]\nreserve_mb = -1\n", "record.reserve_mb is -1"),
+            ("[tolerance]\nposition_sigma_m = 0\n", "tolerance.position_sigma_m is 0, must be from 0.001"),
         ] {
             let (head, table) = if text.starts_with('[') { ("", text) } else { (text, "") };
             let message = error(&format!("{head}{MINIMAL}{table}"));

@@ -17,6 +17,7 @@ fn fleet() -> Fleet {
         origin: Geodetic { latitude_deg: 47.48, longitude_deg: 8.5, altitude_m: 475.0 },
         time_zone: "UTC".to_owned(),
         software: "0.0.0".to_owned(),
+        tolerance_m: 0.05,
     })
 }
 

@@ -13,6 +13,7 @@ mod aggregator;
 mod backfill;
 mod clock;
 mod counters;
+mod history;
 mod http;
 mod inlet;
 mod sessions;
@@ -32,6 +33,7 @@ use crate::link;
 use backfill::Backfill;
 use clock::SiteClock;
 use counters::Counters;
+use history::History;
 use sessions::{Catalogue, Recorder};
 
 /// Messages between the callbacks and the aggregator: more than a second of forty machines. When it is full,
@@ -64,6 +66,9 @@ pub enum SiteError {
         /// What is wrong.
         message: String,
     },
+    /// What the site remembers cannot be kept.
+    #[error("cannot keep the history: {0}")]
+    History(std::io::Error),
     /// Zenoh does not open its endpoints.
     #[error("Zenoh cannot listen on {endpoints}: {message}")]
     Zenoh {
@@ -89,6 +94,7 @@ pub struct Site {
     inlet: inlet::Inlet,
     recorder: Option<Recorder>,
     backfill: Option<Backfill>,
+    history: History,
     stop: watch::Sender<bool>,
     tasks: Vec<JoinHandle<()>>,
 }
@@ -115,6 +121,7 @@ impl Site {
             origin: config.world.site_frame().origin(),
             time_zone: config.time_zone.clone(),
             software: env!("CARGO_PKG_VERSION").to_owned(),
+            tolerance_m: config.tolerance.position_sigma_m,
         };
         let (session, endpoints) = inlet::open(config).await?;
         let folder = config.record.directory.join("sessions");
@@ -129,6 +136,15 @@ impl Site {
             Err(error) => {
                 link::close(session).await;
                 return Err(error);
+            }
+        };
+
+        let history_folder = config.record.enabled.then_some(config.record.directory.as_path());
+        let history = match History::start(history_folder, clock) {
+            Ok(history) => history,
+            Err(error) => {
+                link::close(session).await;
+                return Err(SiteError::History(error));
             }
         };
 
@@ -147,9 +163,13 @@ impl Site {
             .map_err(|error| zenoh_error(config, error))?;
 
         let (stop, stopped) = watch::channel(false);
-        let fleet = Fleet::new(description);
+        let mut fleet = Fleet::new(description);
+        let archive = history.archive();
+        archive.open_outages().values().for_each(|outage| fleet.carry_on(outage.clone()));
+        let site_frame = *fleet.frame();
         let (frame_sender, frames) = watch::channel(Arc::new(aggregator::Frame::of(&fleet, 0, clock.now())));
-        let aggregator = aggregator::run(fleet, messages, tokens, frame_sender, clock, stopped.clone());
+        let outlets = aggregator::Outlets { frames: frame_sender, history: history.inlet() };
+        let aggregator = aggregator::run(fleet, messages, tokens, outlets, clock, stopped.clone());
         let backfill = recorder.as_ref().map(|recorder| {
             let outlets = backfill::Outlets {
                 session: session.clone(),
@@ -169,13 +189,16 @@ impl Site {
             record_directory: config.record.enabled.then(|| config.record.directory.clone()),
             recorder: recorder.as_ref().map(Recorder::progress),
             recorder_inbox: recorder.as_ref().map(Recorder::inbox),
+            archive,
+            site_frame,
+            time_zone: config.zone()?,
             clock,
             exports: http::turnstile(),
             stopped: stopped.clone(),
         };
         let server = http::serve(listener, shared, stopped);
         let tasks = vec![tokio::spawn(aggregator), tokio::spawn(server)];
-        Ok(Self { address, endpoints, session, inlet, recorder, backfill, stop, tasks })
+        Ok(Self { address, endpoints, session, inlet, recorder, backfill, history, stop, tasks })
     }
 
     /// Where page and API are served.
@@ -220,6 +243,8 @@ impl Site {
                 abort.abort();
             }
         }
+        // The aggregator is gone, and with it the last inlet.
+        let _ = tokio::task::spawn_blocking(move || self.history.finish()).await;
         link::close(self.session).await;
     }
 }

@@ -264,6 +264,7 @@ mod tests {
             origin: Geodetic { latitude_deg: 47.0, longitude_deg: 8.0, altitude_m: 400.0 },
             time_zone: "UTC".to_owned(),
             software: "0".to_owned(),
+            tolerance_m: 0.05,
         })
     }
 

@@ -7,7 +7,9 @@ mod export;
 mod guard;
 mod live;
 mod metrics;
+mod outages;
 mod problem;
+mod query;
 mod ready;
 mod sessions;
 
@@ -30,7 +32,9 @@ use super::aggregator::Frame;
 use super::clock::SiteClock;
 use super::counters::Counters;
 use super::ended;
+use super::history::Archive;
 use super::sessions::{Catalogue, Command, Progress};
+use crate::frames::geodesy::SiteFrame;
 pub(super) use export::turnstile;
 use problem::Problem;
 
@@ -45,6 +49,9 @@ pub(super) struct Shared {
     pub record_directory: Option<PathBuf>,
     pub recorder: Option<watch::Receiver<Progress>>,
     pub recorder_inbox: Option<SyncSender<Command>>,
+    pub archive: Arc<Archive>,
+    pub site_frame: SiteFrame,
+    pub time_zone: jiff::tz::TimeZone,
     pub clock: SiteClock,
     /// How many exports may be made at once.
     pub exports: Arc<Semaphore>,
@@ -70,6 +77,7 @@ impl Shared {
     ),
     tags(
         (name = "fleet", description = "The machines, now"),
+        (name = "outages", description = "When, where and why GNSS failed"),
         (name = "sessions", description = "Recordings"),
         (name = "operation", description = "Of the server itself")
     ),
@@ -82,6 +90,10 @@ fn router(shared: Shared) -> Router {
         .routes(routes!(api::fleet))
         .routes(routes!(api::machines))
         .routes(routes!(api::machine))
+        .routes(routes!(outages::list))
+        .routes(routes!(outages::statistics))
+        .routes(routes!(outages::outage))
+        .routes(routes!(outages::shadow_map))
         .routes(routes!(sessions::list, sessions::start))
         .routes(routes!(sessions::session, sessions::edit))
         .routes(routes!(sessions::stop))
