@@ -250,6 +250,7 @@ impl Machine {
         });
         let health = report.map(|report| HealthView {
             age_s: now.seconds_since(report.at).max(0.0),
+            estimate_age_s: report.value.estimate_age_s,
             report: report.value.health.clone(),
         });
         let silent_s = now.seconds_since(self.presence_since).max(0.0);

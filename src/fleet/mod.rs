@@ -17,6 +17,7 @@
 //! lost machine keeps its last values, and their ages grow. Telling the same thing twice changes nothing. A
 //! restart is a new boot id: counting starts anew, and what still arrives from the boot before is refused.
 
+mod alerts;
 mod link;
 mod machine;
 mod outages;
@@ -24,6 +25,10 @@ mod view;
 
 use std::collections::BTreeMap;
 
+pub use alerts::{
+    Acknowledgement, AcknowledgementView, Alert, AlertRule, AlertSeverity, AlertState, AlertView, Alerts,
+    Observation, RuleKind, SiteState, Subject, Unacknowledged, observations, retry_after,
+};
 pub use outages::{
     Budget, CELL_M, CauseTally, CellKey, CellTime, Change, CurrentOutage, DayStatistics, Ending,
     FLOAT_SIGMA_M, FixState, GnssView, MachineStatistics, Observed, Outage, OutageDetail, OutageView,
@@ -134,6 +139,8 @@ pub struct MachineReport {
     pub cabin_from_imu: Pose<Cabin, Imu>,
     /// Drift of the odom frame, once known.
     pub world_from_odom: Option<Pose<World, Odom>>,
+    /// From the newest estimate to the report, by the machine's clock, s.
+    pub estimate_age_s: Option<f64>,
     /// State of the estimator.
     pub health: Health,
 }

@@ -62,6 +62,7 @@ fn report(health: Health) -> MachineReport {
         origin: Geodetic { latitude_deg: 47.48, longitude_deg: 8.5, altitude_m: 475.0 },
         cabin_from_imu: Pose::identity(),
         world_from_odom: None,
+        estimate_age_s: Some(0.01),
         health,
     }
 }

@@ -206,6 +206,8 @@ pub struct Ellipse95 {
 pub struct HealthView {
     /// Since it arrived, by the site's clock, s.
     pub age_s: f64,
+    /// How old its newest estimate was when it said this, by its own clock, s; `null` before the start.
+    pub estimate_age_s: Option<f64>,
     /// As the machine sent it.
     pub report: Health,
 }

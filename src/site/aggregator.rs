@@ -256,6 +256,7 @@ fn report(report: wire::MachineReport) -> Result<fleet::MachineReport, WireError
         origin: report.world.into(),
         cabin_from_imu: report.cabin_from_imu.pose().ok_or_else(|| no_motion("cabin_from_imu"))?,
         world_from_odom,
+        estimate_age_s: report.estimate_age_s,
         health: report.health,
     })
 }
