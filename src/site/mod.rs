@@ -10,6 +10,7 @@
 //! Nothing waits for something behind it: full channels drop and count, live clients get the newest frame.
 
 mod aggregator;
+mod alerts;
 mod backfill;
 mod clock;
 mod counters;
@@ -106,6 +107,7 @@ impl Site {
     /// [`SiteError`]: an address is taken or refused, the directory cannot be written.
     pub async fn start(config: &config::Site) -> Result<Self, SiteError> {
         config.http.check()?;
+        let channels = alerts::channels(&config.alerts)?;
         let listen = config.http.listen;
         let listener = TcpListener::bind(listen)
             .await
@@ -181,6 +183,16 @@ impl Site {
             };
             Backfill::start(books, outlets, frames.clone(), stopped.clone())
         });
+        let surroundings = alerts::Surroundings {
+            site: config.id.clone(),
+            archive: Arc::clone(&archive),
+            frames: frames.clone(),
+            record_directory: config.record.enabled.then(|| config.record.directory.clone()),
+            tolerance_m: config.tolerance.position_sigma_m,
+            clock,
+            stopped: stopped.clone(),
+        };
+        let watching = alerts::start(&config.alerts, channels, surroundings);
         let shared = http::Shared {
             frames,
             counters,
@@ -190,6 +202,12 @@ impl Site {
             recorder: recorder.as_ref().map(Recorder::progress),
             recorder_inbox: recorder.as_ref().map(Recorder::inbox),
             archive,
+            alerts: http::AlertsDesk {
+                open: watching.open,
+                commands: watching.commands,
+                channels: watching.channels,
+            },
+            site: config.id.clone(),
             site_frame,
             time_zone: config.zone()?,
             clock,
@@ -197,7 +215,8 @@ impl Site {
             stopped: stopped.clone(),
         };
         let server = http::serve(listener, shared, stopped);
-        let tasks = vec![tokio::spawn(aggregator), tokio::spawn(server)];
+        let mut tasks = vec![tokio::spawn(aggregator), tokio::spawn(server)];
+        tasks.extend(watching.tasks);
         Ok(Self { address, endpoints, session, inlet, recorder, backfill, history, stop, tasks })
     }
 

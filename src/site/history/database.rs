@@ -28,6 +28,25 @@ const TABLES: &str = "
         without_ns INTEGER NOT NULL,
         PRIMARY KEY (quarter, machine, east, north)
     ) STRICT, WITHOUT ROWID;
+    CREATE TABLE alerts (
+        id TEXT PRIMARY KEY,
+        rule TEXT NOT NULL,
+        machine TEXT,               -- NULL if it is the site's
+        state TEXT NOT NULL,
+        raised_ns INTEGER NOT NULL,
+        body TEXT NOT NULL          -- JSON
+    ) STRICT;
+    CREATE INDEX alerts_by_time ON alerts (raised_ns, id);
+    CREATE TABLE deliveries (
+        id INTEGER PRIMARY KEY AUTOINCREMENT,
+        channel TEXT NOT NULL,
+        alert TEXT NOT NULL,
+        body TEXT NOT NULL,         -- the alert as it was then, JSON
+        failures INTEGER NOT NULL,
+        since_ns INTEGER NOT NULL,
+        due_ns INTEGER NOT NULL
+    ) STRICT;
+    CREATE INDEX deliveries_by_channel ON deliveries (channel, id);
 ";
 
 /// The database.

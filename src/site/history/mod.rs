@@ -1,4 +1,4 @@
-//! What the site remembers beside its recordings: outages, and where they were. Kept in SQLite, for itself: unlike
+//! What the site remembers beside its recordings: outages, where they were, alerts, and who is to be told. Kept in SQLite, for itself: unlike
 //! the sessions' catalogue it cannot be made anew from files.
 //!
 //! ```text
@@ -7,6 +7,7 @@
 //! An outage is written when it begins and when it ends, and every ten seconds in between; what goes on when the
 //! server ends is carried on by its next run.
 
+mod alerts;
 mod database;
 mod outages;
 mod shadow;
@@ -20,8 +21,9 @@ use std::thread::JoinHandle;
 use rusqlite::Result;
 
 use super::clock::SiteClock;
-use crate::fleet::{CellKey, CellTime, Change, Ending, Outage};
+use crate::fleet::{Alert, CellKey, CellTime, Change, Ending, Outage};
 use crate::time::{Span, Stamp};
+pub(super) use alerts::{AlertFilter, Delivery};
 use database::Database;
 pub(super) use outages::{Cursor, Filter, Page};
 pub(super) use shadow::Area;
@@ -194,6 +196,46 @@ impl Archive {
             Some(outage) => Ok(Some(outage)),
             None => self.database().outage(id),
         }
+    }
+
+    /// Keeps alerts that changed, and what the channels are to be told.
+    pub fn put_alerts(&self, alerts: &[Alert], channels: &[String]) -> Result<()> {
+        self.database().put_alerts(alerts, channels)
+    }
+
+    /// Those that are not both over and seen.
+    pub fn open_alerts(&self) -> Result<Vec<Alert>> {
+        self.database().open_alerts()
+    }
+
+    /// One alert.
+    pub fn alert(&self, id: &str) -> Result<Option<Alert>> {
+        self.database().alert(id)
+    }
+
+    /// Alerts, newest first, and where the list goes on.
+    pub fn alerts(&self, filter: &AlertFilter) -> Result<(Vec<Alert>, Option<Cursor>)> {
+        self.database().alerts(filter)
+    }
+
+    /// What a channel is to be told next.
+    pub fn next_delivery(&self, channel: &str) -> Result<Option<Delivery>> {
+        self.database().next_delivery(channel)
+    }
+
+    /// It is delivered, or given up.
+    pub fn delivered(&self, id: i64) -> Result<()> {
+        self.database().delivered(id)
+    }
+
+    /// It is to be tried again.
+    pub fn not_delivered(&self, id: i64, failures: u32, due: Stamp) -> Result<()> {
+        self.database().not_delivered(id, failures, due)
+    }
+
+    /// Nothing waits for channels that are not in the site file any more.
+    pub fn forget_other_channels(&self, channels: &[String]) -> Result<()> {
+        self.database().forget_other_channels(channels)
     }
 
     /// Time in the cells of a grid.

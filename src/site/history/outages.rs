@@ -54,7 +54,7 @@ impl Cursor {
     }
 }
 
-fn json_error(error: serde_json::Error) -> rusqlite::Error {
+pub(super) fn json_error(error: serde_json::Error) -> rusqlite::Error {
     rusqlite::Error::ToSqlConversionFailure(Box::new(error))
 }
 
