@@ -48,7 +48,7 @@ pub use places::Places;
 pub use ranges::Ranges;
 pub use read::{Arrivals, Messages, machines, read_arrivals, read_arrivals_showing, read_messages};
 pub use recover::{inspect, recover};
-pub use ring::{FILE_BYTES, Ring, RingOptions, RingReader, Shelf};
+pub use self::ring::{FILE_BYTES, Ring, RingOptions, RingReader, Shelf};
 pub use write::{ChannelBook, RecordWriter, SYNC_EVERY};
 
 /// Name of the metadata record that tells of the site: `id`, `name`, and the origin of the site frame as
