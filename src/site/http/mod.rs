@@ -1,5 +1,6 @@
 //! The site's HTTP door: API, live WebSocket, metrics, page. Reads the newest frame; asks nothing back.
 
+mod alerts;
 mod api;
 mod assets;
 mod download;
@@ -7,7 +8,9 @@ mod export;
 mod guard;
 mod live;
 mod metrics;
+mod outages;
 mod problem;
+mod query;
 mod ready;
 mod sessions;
 
@@ -21,16 +24,20 @@ use axum::middleware;
 use axum::routing::get;
 use axum::serve::ListenerExt as _;
 use tokio::net::TcpListener;
-use tokio::sync::{Semaphore, watch};
+use tokio::sync::{Semaphore, mpsc, watch};
 use utoipa::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use super::aggregator::Frame;
+use super::alerts::{Acknowledge, Channel};
 use super::clock::SiteClock;
 use super::counters::Counters;
 use super::ended;
+use super::history::Archive;
 use super::sessions::{Catalogue, Command, Progress};
+use crate::fleet::Alert;
+use crate::frames::geodesy::SiteFrame;
 pub(super) use export::turnstile;
 use problem::Problem;
 
@@ -45,10 +52,24 @@ pub(super) struct Shared {
     pub record_directory: Option<PathBuf>,
     pub recorder: Option<watch::Receiver<Progress>>,
     pub recorder_inbox: Option<SyncSender<Command>>,
+    pub archive: Arc<Archive>,
+    pub alerts: AlertsDesk,
+    /// The site's id.
+    pub site: String,
+    pub site_frame: SiteFrame,
+    pub time_zone: jiff::tz::TimeZone,
     pub clock: SiteClock,
     /// How many exports may be made at once.
     pub exports: Arc<Semaphore>,
     pub stopped: watch::Receiver<bool>,
+}
+
+/// What the handlers see of the alerts.
+#[derive(Clone)]
+pub(super) struct AlertsDesk {
+    pub open: watch::Receiver<Arc<Vec<Alert>>>,
+    pub commands: mpsc::Sender<Acknowledge>,
+    pub channels: Arc<Vec<Channel>>,
 }
 
 impl Shared {
@@ -70,10 +91,12 @@ impl Shared {
     ),
     tags(
         (name = "fleet", description = "The machines, now"),
+        (name = "alerts", description = "What somebody should look at"),
+        (name = "outages", description = "When, where and why GNSS failed"),
         (name = "sessions", description = "Recordings"),
         (name = "operation", description = "Of the server itself")
     ),
-    components(schemas(Problem, live::LiveMessage, live::Request))
+    components(schemas(Problem, live::LiveMessage, live::Request, outages::OutageState))
 )]
 struct Documentation;
 
@@ -82,6 +105,13 @@ fn router(shared: Shared) -> Router {
         .routes(routes!(api::fleet))
         .routes(routes!(api::machines))
         .routes(routes!(api::machine))
+        .routes(routes!(alerts::list))
+        .routes(routes!(alerts::acknowledge))
+        .routes(routes!(alerts::test))
+        .routes(routes!(outages::list))
+        .routes(routes!(outages::statistics))
+        .routes(routes!(outages::outage))
+        .routes(routes!(outages::shadow_map))
         .routes(routes!(sessions::list, sessions::start))
         .routes(routes!(sessions::session, sessions::edit))
         .routes(routes!(sessions::stop))

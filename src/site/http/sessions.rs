@@ -178,7 +178,7 @@ async fn command(
 }
 
 /// A body in JSON; `None` if there is none.
-fn read<T: DeserializeOwned>(
+pub(super) fn read<T: DeserializeOwned>(
     headers: &HeaderMap,
     body: Result<Bytes, BytesRejection>,
 ) -> Result<Option<T>, Problem> {
