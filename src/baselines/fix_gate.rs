@@ -1,9 +1,9 @@
 //! Which fixes the filters believe.
 //!
-//! A fix is left out if its reported sigmas are over the machine's `gnss.sigma_max_m`, or if its innovation is
-//! beyond the 99.9 % bound of the chi-square distribution, the outlier test of both publications. Fixes that are
-//! left out for that for longer than [`CONTRADICTION_MAX`] are right, and are believed until one agrees again: a
-//! filter that has gone astray would else never come back.
+//! A fix is left out if its reported sigmas are over the machine's `gnss.sigma_max_m`. With an outlier test, it is also
+//! left out if its innovation is beyond the 99.9 % bound of the chi-square distribution; fixes that are left out for
+//! that for longer than [`CONTRADICTION_MAX`] are right, and are believed until one agrees again: a filter that has
+//! gone astray would else never come back.
 
 use crate::estimator::GateOptions;
 use crate::frames::geodesy::SiteFrame;
@@ -30,13 +30,18 @@ pub(super) struct Fix {
     pub sigma: Vec3,
 }
 
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub(super) struct FixGate {
+    tests_innovations: bool,
     contradicted_since: Option<Stamp>,
     last_used: Option<Stamp>,
 }
 
 impl FixGate {
+    pub fn new(tests_innovations: bool) -> Self {
+        Self { tests_innovations, contradicted_since: None, last_used: None }
+    }
+
     /// What a fix amounts to, unless the receiver itself says that it is bad.
     pub fn read(
         options: &GateOptions,
@@ -61,7 +66,7 @@ impl FixGate {
     pub fn judge(&mut self, stamp: Stamp, innovation: &Vec3, covariance: &Mat3) -> Result<(), String> {
         let solved = covariance.cholesky().map(|factor| factor.solve(innovation));
         let squared = solved.map_or(f64::INFINITY, |solved| innovation.dot(&solved));
-        if squared <= LIMIT {
+        if squared <= LIMIT || !self.tests_innovations {
             self.contradicted_since = None;
         } else {
             let since = *self.contradicted_since.get_or_insert(stamp);

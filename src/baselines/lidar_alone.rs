@@ -31,7 +31,12 @@ pub struct LidarAlone {
 enum Phase {
     Waiting,
     /// Carried by the IMU to the first lidar pose.
-    Started { stamp: Stamp, state: NavState, covariance: StateMatrix, samples: SampleBuffer },
+    Started {
+        stamp: Stamp,
+        state: NavState,
+        covariance: StateMatrix,
+        samples: SampleBuffer,
+    },
     Aligned(Box<Aligned>),
 }
 

@@ -51,6 +51,8 @@ pub struct Msf {
 struct Node {
     stamp: Stamp,
     measurement: Measurement,
+    /// Settles the order of measurements of one stamp, so that it is not that of their arrival.
+    rank: usize,
     belief: Belief,
 }
 
@@ -76,7 +78,7 @@ impl Belief {
     pub fn new(state: NavState, covariance: &StateMatrix) -> Self {
         let mut whole = Matrix::identity();
         whole.fixed_view_mut::<STATE_DIM, STATE_DIM>(0, 0).copy_from(covariance);
-        Self { state, covariance: whole, clone: None, gate: FixGate::default() }
+        Self { state, covariance: whole, clone: None, gate: FixGate::new(true) }
     }
 
     pub fn state_covariance(&self) -> StateMatrix {
@@ -86,12 +88,8 @@ impl Belief {
     /// P ← F P Fᵀ + Q; the clone stays as it is, and only its correlation with the state moves (\[L\] eqs. 3 to 6).
     pub fn predict(&mut self, motion: &Preintegration, options: &Options) {
         let matrix = transition(motion, &self.state);
-        let state_part = predict_covariance(
-            motion,
-            &self.state,
-            &self.state_covariance(),
-            &options.smoother.noise,
-        );
+        let state_part =
+            predict_covariance(motion, &self.state, &self.state_covariance(), &options.smoother.noise);
         let cross = matrix * self.covariance.fixed_view::<STATE_DIM, 6>(0, CLONE);
         self.covariance.fixed_view_mut::<STATE_DIM, STATE_DIM>(0, 0).copy_from(&state_part);
         self.covariance.fixed_view_mut::<STATE_DIM, 6>(0, CLONE).copy_from(&cross);
@@ -136,8 +134,7 @@ impl Belief {
         let linear = factor.linearize(&self.state);
         let mut jacobian = SMatrix::<f64, 3, DIM>::zeros();
         jacobian.fixed_view_mut::<3, 6>(0, 0).copy_from(&linear.jacobian);
-        let covariance =
-            jacobian * self.covariance * jacobian.transpose() + SMatrix::<f64, 3, 3>::identity();
+        let covariance = jacobian * self.covariance * jacobian.transpose() + SMatrix::<f64, 3, 3>::identity();
         self.gate.judge(fix.stamp, &linear.residual, &covariance)?;
         if self.correct(&linear.residual, &jacobian) { Ok(()) } else { Err(degenerate()) }
     }
@@ -168,8 +165,7 @@ impl Belief {
         let mut jacobian = SMatrix::<f64, 6, DIM>::zeros();
         jacobian.fixed_view_mut::<6, 6>(0, 0).copy_from(&linear.jacobian_j);
         jacobian.fixed_view_mut::<6, 6>(0, CLONE).copy_from(&linear.jacobian_i);
-        let innovation =
-            jacobian * self.covariance * jacobian.transpose() + SMatrix::<f64, 6, 6>::identity();
+        let innovation = jacobian * self.covariance * jacobian.transpose() + SMatrix::<f64, 6, 6>::identity();
         let solved = innovation.cholesky().map(|factor| factor.solve(&linear.residual));
         let squared = solved.map_or(f64::INFINITY, |solved| linear.residual.dot(&solved));
         if squared > LIDAR_LIMIT {
@@ -196,7 +192,7 @@ impl Node {
     /// The node after `before`: predicted to its stamp, and its measurement applied.
     fn after(
         before: &Node,
-        stamp: Stamp,
+        (stamp, rank): (Stamp, usize),
         measurement: Measurement,
         options: &Options,
         samples: &SampleBuffer,
@@ -213,25 +209,26 @@ impl Node {
             Measurement::Fix(fix) => belief.take_fix(fix),
             Measurement::Lidar(pose) => belief.take_lidar(pose, options),
         };
-        Ok((Self { stamp, measurement, belief }, refusal.err()))
+        Ok((Self { stamp, measurement, rank, belief }, refusal.err()))
     }
 }
 
 impl Msf {
     fn insert(
         &mut self,
-        stamp: Stamp,
+        place: (Stamp, usize),
         measurement: Measurement,
         options: &Options,
         samples: &SampleBuffer,
     ) -> Took {
+        let stamp = place.0;
         let took = if matches!(measurement, Measurement::None) { Took::Moved } else { Took::Updated };
-        let index = self.nodes.partition_point(|node| node.stamp <= stamp);
+        let index = self.nodes.partition_point(|node| (node.stamp, node.rank) <= place);
         let Some(before) = index.checked_sub(1).map(|before| &self.nodes[before]) else {
             let oldest = self.nodes.front().map_or(0.0, |node| node.stamp.seconds_since(stamp));
             return Took::Refused(format!("is {oldest:.3} s older than the oldest state that is kept"));
         };
-        let refusal = match Node::after(before, stamp, measurement, options, samples) {
+        let refusal = match Node::after(before, place, measurement, options, samples) {
             Ok((node, refusal)) => {
                 self.nodes.insert(index, node);
                 refusal
@@ -240,9 +237,8 @@ impl Msf {
         };
         for later in index + 1..self.nodes.len() {
             let node = &self.nodes[later];
-            let (stamp, measurement) = (node.stamp, node.measurement.clone());
-            if let Ok((again, _)) =
-                Node::after(&self.nodes[later - 1], stamp, measurement, options, samples)
+            let (place, measurement) = ((node.stamp, node.rank), node.measurement.clone());
+            if let Ok((again, _)) = Node::after(&self.nodes[later - 1], place, measurement, options, samples)
             {
                 self.nodes[later] = again;
             }
@@ -259,7 +255,7 @@ impl Core for Msf {
     fn begin(_: &Options, start: &Start) -> Self {
         let covariance = start.information.try_inverse().unwrap_or_else(StateMatrix::identity);
         let belief = Belief::new(start.state, &covariance);
-        let node = Node { stamp: start.stamp, measurement: Measurement::None, belief };
+        let node = Node { stamp: start.stamp, measurement: Measurement::None, rank: 0, belief };
         Self { nodes: VecDeque::from([node]), lidar_heard: None }
     }
 
@@ -288,7 +284,7 @@ impl Core for Msf {
             }
             Reading::BaseImu(_) | Reading::CabinTurn(_) => return Took::Nothing,
         };
-        self.insert(reading.stamp(), measurement, options, samples)
+        self.insert((reading.stamp(), reading.sensor() as usize), measurement, options, samples)
     }
 
     fn newest(&self) -> (Stamp, NavState, StateMatrix) {

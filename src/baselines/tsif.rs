@@ -53,7 +53,7 @@ pub(super) struct TwoState {
 }
 
 impl TwoState {
-    fn plus(&self, tangent: &Vector) -> Self {
+    pub fn plus(&self, tangent: &Vector) -> Self {
         let mut nav = crate::state::StateVector::zeros();
         nav.fixed_rows_mut::<RATE>(0).copy_from(&tangent.fixed_rows::<RATE>(0));
         Self { nav: self.nav.plus(&nav), rate: self.rate + tangent.fixed_rows::<3>(RATE) }
@@ -203,7 +203,11 @@ impl Tsif {
                 let steps: Option<Vec<Step>> = samples.steps(self.stamp, target).map(Iterator::collect);
                 let Some(steps) = steps.filter(|steps| !steps.is_empty()) else { break };
                 for (index, step) in steps.iter().enumerate() {
-                    let fixes = if index + 1 == steps.len() { self.take_fixes(target, step, options) } else { Ok(Vec::new()) };
+                    let fixes = if index + 1 == steps.len() {
+                        self.take_fixes(target, step, options)
+                    } else {
+                        Ok(Vec::new())
+                    };
                     let fixes = fixes.unwrap_or_else(|(reason, fixes)| {
                         refusal = Some(reason);
                         fixes
@@ -234,11 +238,8 @@ impl Tsif {
         while let Some(fix) = self.waiting.pop_front_if(|fix| fix.stamp == stamp) {
             let innovation = fix.measured - (expected.nav.position + expected.nav.rotation * fix.lever_arm);
             let covariance = self.state_covariance();
-            let here = crate::smoother::predicted_position_covariance(
-                &expected.nav,
-                &covariance,
-                &fix.lever_arm,
-            );
+            let here =
+                crate::smoother::predicted_position_covariance(&expected.nav, &covariance, &fix.lever_arm);
             let whole = here + Mat3::from_diagonal(&fix.sigma.component_mul(&fix.sigma));
             match self.gate.judge(stamp, &innovation, &whole) {
                 Ok(()) => believed.push(fix),
@@ -287,13 +288,7 @@ impl Core for Tsif {
         let prior = start.information.fixed_view::<RATE, RATE>(0, 0);
         information.fixed_view_mut::<RATE, RATE>(0, 0).copy_from(&prior);
         let mean = TwoState { nav: start.state, rate: Vec3::zeros() };
-        Self {
-            stamp: start.stamp,
-            mean,
-            information,
-            gate: FixGate::default(),
-            waiting: VecDeque::new(),
-        }
+        Self { stamp: start.stamp, mean, information, gate: FixGate::new(false), waiting: VecDeque::new() }
     }
 
     fn take(&mut self, options: &Options, reading: &Reading, samples: &SampleBuffer) -> Took {

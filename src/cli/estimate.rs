@@ -104,7 +104,13 @@ pub fn run(arguments: Arguments) -> Result<Outcome, Box<dyn Error>> {
         let clock = move || u64::try_from(epoch.elapsed().as_nanos()).unwrap_or(u64::MAX);
         let arrivals = arrivals.into_iter().map(Ok::<Arrival, std::io::Error>);
         let options = machine.estimator_options();
-        crate::replay::run(arrivals, arguments.method.kind().estimator(options), &mut outputs, clock, |progress| show(progress.data_s))?
+        crate::replay::run(
+            arrivals,
+            arguments.method.kind().estimator(options),
+            &mut outputs,
+            clock,
+            |progress| show(progress.data_s),
+        )?
     };
     bar.finish();
     outputs.finish(&summary)?;

@@ -5,7 +5,12 @@
 //! so that heading means the same for an IMU that is mounted in whatever way.
 
 mod alignment;
+mod chi_square;
+mod evo;
+pub mod report;
 mod statistics;
+pub mod tasks;
+pub mod trial;
 
 #[cfg(test)]
 mod tests;
@@ -17,6 +22,8 @@ use crate::lie::{Se3, Vec3};
 use crate::time::Stamp;
 
 pub use alignment::Alignment;
+pub use chi_square::{chi_square_below, chi_square_quantile, mean_bounds};
+pub use evo::{DeltaUnit, EvoOptions, EvoReport, EvoStatistics, Relation, evo};
 pub use statistics::Statistics;
 
 /// How to compare.
@@ -76,6 +83,8 @@ pub struct Report {
     pub aligned_by_translation_m: [f64; 3],
     /// Its rotation vector, degrees.
     pub aligned_by_rotation_deg: [f64; 3],
+    /// What the estimate's positions were multiplied by before.
+    pub aligned_by_scale: f64,
     /// Over all that was compared.
     pub errors: Errors,
     /// All intervals of the same condition together, by name.
@@ -170,9 +179,7 @@ pub fn compare(
     let (start_s, end_s) = (first.stamp.as_seconds(), last.stamp.as_seconds());
 
     let truth_from_estimate = options.alignment.solve(&pairs);
-    for pair in &mut pairs {
-        pair.estimate = truth_from_estimate * pair.estimate;
-    }
+    pairs.iter_mut().for_each(|pair| pair.estimate = truth_from_estimate.apply(&pair.estimate));
     let within = |interval: &Interval| errors(pairs.iter().filter(|pair| interval.holds(pair.stamp)));
     let mut names: Vec<&str> = options.intervals.iter().map(|one| one.condition.as_str()).collect();
     names.sort_unstable();
@@ -198,8 +205,9 @@ pub fn compare(
         start_s,
         end_s,
         alignment: options.alignment,
-        aligned_by_translation_m: truth_from_estimate.translation.into(),
-        aligned_by_rotation_deg: truth_from_estimate.rotation.log().map(f64::to_degrees).into(),
+        aligned_by_translation_m: truth_from_estimate.motion.translation.into(),
+        aligned_by_rotation_deg: truth_from_estimate.motion.rotation.log().map(f64::to_degrees).into(),
+        aligned_by_scale: truth_from_estimate.scale,
         errors: all,
         conditions: names.into_iter().filter_map(condition).collect(),
         intervals: options.intervals.iter().filter_map(interval).collect(),
