@@ -18,8 +18,9 @@ use crate::sensors::Arrival;
 /// Run the estimator over a log and write poses, events and a summary
 ///
 /// LOG is a folder of CSV files (imu.csv, gnss_left.csv, ...; all but imu.csv optional) or an MCAP recording
-/// of holdfast, all files of a session or their folder. Writes to DIR: world.tum, odom.tum and base_odom.tum (one pose for each IMU sample, as it would
-/// have been published live), estimate.csv (with biases and standard deviations), events.jsonl, summary.json.
+/// of holdfast, all files of a session or their folder. Writes to DIR: world.tum, odom.tum and base_odom.tum (one
+/// pose for each IMU sample, as it would have been published live), estimate.csv (with biases and standard
+/// deviations), corrections.csv (how far each update moved the newest position), events.jsonl, summary.json.
 /// The same log and machine file give the same bytes, times in summary.json apart. With --realtime there is also
 /// takeovers.csv: before which reading (of all sensors, counted from 0) the solution of which reading was taken
 /// over; with it the run can be had again to the bit.

@@ -6,7 +6,10 @@
 
 mod alignment;
 mod chi_square;
+pub mod comparison;
 mod evo;
+pub mod monte_carlo;
+pub mod paper;
 pub mod report;
 mod statistics;
 pub mod tasks;
@@ -18,7 +21,7 @@ mod tests;
 use serde::Serialize;
 
 use crate::import::{Interval, StampedPose};
-use crate::lie::{Se3, Vec3};
+use crate::lie::{Se3, So3, Vec3};
 use crate::time::Stamp;
 
 pub use alignment::Alignment;
@@ -42,6 +45,18 @@ pub struct Options {
 impl Default for Options {
     fn default() -> Self {
         Self { alignment: Alignment::None, intervals: Vec::new(), only: None, gap_max_s: 1.0 }
+    }
+}
+
+impl Options {
+    /// Whether an estimate of that stamp counts.
+    fn counts(&self, stamp: Stamp) -> bool {
+        match &self.only {
+            None => true,
+            Some(condition) => {
+                self.intervals.iter().any(|one| one.condition == *condition && one.holds(stamp))
+            }
+        }
     }
 }
 
@@ -155,17 +170,11 @@ pub fn compare(
         [only] => Ok([only.stamp; 2]),
     };
     let (truth_ends, estimate_ends) = (ends(truth, "truth")?, ends(estimate, "estimate")?);
-    let inside = |stamp: Stamp| match &options.only {
-        None => true,
-        Some(condition) => {
-            options.intervals.iter().any(|one| one.condition == *condition && one.holds(stamp))
-        }
-    };
     let mut pairs = Vec::new();
     let mut without_truth = 0;
     let mut outside_intervals = 0;
     for posed in estimate {
-        if !inside(posed.stamp) {
+        if !options.counts(posed.stamp) {
             outside_intervals += 1;
         } else if let Some(at) = interpolate(truth, posed.stamp, options.gap_max_s) {
             pairs.push(Pair { stamp: posed.stamp, truth: at, estimate: posed.pose });
@@ -212,6 +221,13 @@ pub fn compare(
         conditions: names.into_iter().filter_map(condition).collect(),
         intervals: options.intervals.iter().filter_map(interval).collect(),
     })
+}
+
+/// What a report says was taken out.
+fn motion_of(report: &Report) -> alignment::Similarity {
+    let turn = Vec3::from(report.aligned_by_rotation_deg).map(f64::to_radians);
+    let motion = Se3::new(So3::exp(&turn), Vec3::from(report.aligned_by_translation_m));
+    alignment::Similarity { scale: report.aligned_by_scale, motion }
 }
 
 /// The true pose at `stamp`: positions on a straight line, rotations at an even rate (slerp).

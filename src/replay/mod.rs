@@ -57,6 +57,7 @@ pub fn run<E: From<io::Error>>(
         if let Some(correction) = correction {
             tally.update.note(updated - predicted);
             tally.note_correction(&correction);
+            outputs.write_correction(arrival.arrival, &correction)?;
         }
         if let Some(estimate) = &estimate {
             tally.estimates += 1;

@@ -77,6 +77,8 @@ pub struct Trial {
     pub standing_drift_m: f64,
     /// The same from two seconds after its last motion on.
     pub settled_drift_m: f64,
+    /// Of each rest of the chassis inside the outage: distance from the truth when it began and when it ended, m.
+    pub rests_m: Vec<[f64; 2]>,
     /// RMSE of the yardstick in the outage.
     pub yardstick_m: f64,
     /// Of odom beyond the true motion, between two estimates.
@@ -200,7 +202,8 @@ impl Judge {
         if self.outage.is_some_and(within) {
             self.trial.outage.note(estimate, truth);
             if truth.base.velocity.norm() > 1e-6 {
-                self.standing = Standing::default();
+                let rest = std::mem::take(&mut self.standing).distances_m();
+                self.trial.rests_m.extend(rest);
             } else if estimate.mode != Mode::Main {
                 let [drift_m, settled_m] = self.standing.drift_m(estimate.stamp, &error);
                 self.trial.standing_drift_m = self.trial.standing_drift_m.max(drift_m);
@@ -262,6 +265,7 @@ impl Judge {
     }
 
     fn finish(mut self) -> Trial {
+        self.trial.rests_m.extend(self.standing.distances_m());
         self.trial.yardstick_m = self.yardstick.rmse_m();
         self.trial
     }

@@ -8,22 +8,30 @@ use crate::time::Stamp;
 /// A stop is recognised and what it says taken in after so long, s.
 const SETTLES_S: f64 = 2.0;
 
-/// Error when the chassis came to rest, and when that had settled.
+/// Error when the chassis came to rest, when that had settled, and now.
 #[derive(Default)]
 pub(super) struct Standing {
     since: Option<(Stamp, Vec3)>,
     settled: Option<Vec3>,
+    newest: Vec3,
 }
 
 impl Standing {
     /// How far the error has moved since the chassis stands, and since it has settled, m.
     pub fn drift_m(&mut self, stamp: Stamp, error: &Vec3) -> [f64; 2] {
         let (since, reference) = *self.since.get_or_insert((stamp, *error));
+        self.newest = *error;
         if stamp.seconds_since(since) < SETTLES_S {
             return [(error - reference).norm(), 0.0];
         }
         let settled = *self.settled.get_or_insert(*error);
         [(error - reference).norm(), (error - settled).norm()]
+    }
+
+    /// Distance from the truth at the beginning and at the end of a rest that settled, m.
+    pub fn distances_m(&self) -> Option<[f64; 2]> {
+        self.settled?;
+        Some([self.since?.1.norm(), self.newest.norm()])
     }
 }
 
