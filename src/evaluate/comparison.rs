@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::report::{Axis, Band, Page, Plot, Scale, Series, Style, Table, figure};
+use super::report::{Axis, Band, Page, Plot, Scale, Series, Style, Table, figure, spread};
 use super::trial::{self, bounds_of};
 use super::{
     Alignment, EvaluateError, EvoOptions, EvoReport, Options, Relation, Report, compare, evo, interpolate,
@@ -374,7 +374,7 @@ fn evo_table(judgements: &[Judgement]) -> Table {
 
 fn consistency(judgements: &[Judgement]) -> Table {
     let mut table = table("Consistency", judgements);
-    let moments = |moments: &Moments| format!("{} ± {}", figure(moments.mean), figure(moments.sd));
+    let moments = |moments: &Moments| spread(moments.mean, moments.sd);
     let bounded = |bounded: &Bounded| {
         let [low, high] = bounded.bounds;
         format!("{} ({}–{})", figure(bounded.mean), figure(low), figure(high))
@@ -409,7 +409,7 @@ fn latency(judgements: &[Judgement]) -> Table {
     for (name, part) in parts {
         row(&mut table, &format!("{name}: mean ± sd"), judgements, |one| {
             let times = part(one.run.as_ref()?);
-            Some(format!("{} ± {}", figure(times.mean), figure(times.sd)))
+            Some(spread(times.mean, times.sd))
         });
         row(&mut table, &format!("{name}: 99 %, largest"), judgements, |one| {
             let times = part(one.run.as_ref()?);

@@ -59,7 +59,8 @@ pub struct Arguments {
     /// Compare only inside intervals of this condition, such as "good"
     #[arg(long, value_name = "CONDITION", requires = "intervals")]
     pub only: Option<String>,
-    /// Log folder the estimates were made of: also hold them against its RTK fixes
+    /// Log folder the estimates were made of: also hold them against its RTK fixes, those whose
+    /// reported sigmas the machine file does not refuse
     #[arg(long, value_name = "DIR", requires = "truth", requires = "machine")]
     pub log: Option<PathBuf>,
     /// Machine file, which says where the antenna is
@@ -267,7 +268,9 @@ fn read_fixes(log: &Path, machine: &Path) -> Result<Fixes, Box<dyn Error>> {
     let options = config::load::<Machine>(machine)?.estimator_options();
     let mut fixes = Vec::new();
     for arrival in read_log_folder(log)?.arrivals {
-        if let (Reading::GnssLeft(fix), Ok(())) = (arrival.reading, arrival.reading.check()) {
+        let (Reading::GnssLeft(fix), Ok(())) = (arrival.reading, arrival.reading.check()) else { continue };
+        // Others are no RTK fixes by the receiver's own word.
+        if fix.sigma_enu_m.xy().amax() <= options.gate.sigma_max_m {
             fixes.push((fix.stamp, options.site.to_enu(fix.position), fix.sigma_enu_m));
         }
     }

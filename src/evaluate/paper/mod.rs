@@ -11,7 +11,7 @@ pub use sheet::{Cell, Row, Sheet};
 
 use serde::Serialize;
 
-use super::report::{Page, figure};
+use super::report::Page;
 use super::tasks::Task;
 use super::trial::{self, Setup, Trial};
 use crate::baselines::Kind;
@@ -175,9 +175,4 @@ impl Study {
         }
         page
     }
-}
-
-/// Mean and standard deviation as text.
-fn spread(mean: f64, sd: f64) -> String {
-    format!("{} ± {}", figure(mean), figure(sd))
 }

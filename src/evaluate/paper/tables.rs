@@ -1,9 +1,9 @@
 //! The tables.
 
 use super::sheet::{Cell, Row, Sheet};
-use super::{Latency, TaskStudy, published, spread};
+use super::{Latency, TaskStudy, published};
 use crate::baselines::Kind;
-use crate::evaluate::report::figure;
+use crate::evaluate::report::{figure, spread};
 use crate::evaluate::trial::{Errors, Trial, bounds_of};
 use crate::replay::Distribution;
 
@@ -259,7 +259,8 @@ pub(super) fn consistency(task: &TaskStudy) -> Sheet {
     ));
     let values =
         |trials: &[Trial]| trials.iter().flat_map(|trial| trial.correction_cm.clone()).collect::<Vec<f64>>();
-    let why = "its updates are more and smaller";
+    let why = "ours trusts fixes that come and go only after several good ones in a row, and then corrects all at once; a \
+               filter takes each as it comes";
     let cell = |trials: &[Trial]| {
         let [mean, sd] = moments(values(trials).into_iter());
         Cell::new(libm::hypot(mean, sd), spread(mean, sd))
@@ -292,7 +293,7 @@ pub(super) fn covariance(task: &TaskStudy) -> Sheet {
         };
         sheet.rows.push(Row::new(name, task.cells(cell), why));
     };
-    let why = "covariances cannot be closer to their errors than chance lets them, see the bounds";
+    let why = "below one an estimate is better than it says, above one worse, and within the bounds nobody can tell";
     for (name, outage) in [("GNSS good", false), ("outage", true)] {
         let of = move |trial: &Trial| if outage { trial.outage.clone() } else { trial.good.clone() };
         row(

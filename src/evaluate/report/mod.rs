@@ -120,11 +120,32 @@ pub fn figure(value: f64) -> String {
         write!(text, "{value:.2}")
     } else if size >= 0.01 {
         write!(text, "{value:.3}")
+    } else if size >= 0.0001 {
+        write!(text, "{value:.4}")
     } else {
         write!(text, "{value:.1e}")
     };
     written.expect("a string takes everything");
     text
+}
+
+/// Mean and standard deviation, with the digits that count beside the latter.
+pub fn spread(mean: f64, sd: f64) -> String {
+    if !mean.is_finite() || !sd.is_finite() {
+        return "–".to_owned();
+    }
+    let decimals = match sd {
+        100.0.. => 0,
+        10.0.. => 1,
+        0.1.. => 2,
+        0.01.. => 3,
+        _ => 4,
+    };
+    // No minus before a zero.
+    let mean = format!("{mean:.decimals$}");
+    let mean =
+        if mean.trim_matches(['-', '0', '.']).is_empty() { mean.trim_start_matches('-') } else { &mean };
+    format!("{mean} ± {sd:.decimals$}")
 }
 
 #[cfg(test)]
@@ -200,5 +221,7 @@ mod tests {
             assert_eq!(figure(value), text);
         }
         assert_eq!(figure(f64::NAN), "–");
+        assert_eq!(spread(-0.0004, 1.467), "0.00 ± 1.47");
+        assert_eq!(spread(-9.68, 18.52), "-9.7 ± 18.5");
     }
 }
