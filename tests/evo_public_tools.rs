@@ -31,23 +31,23 @@ fn cases() -> Vec<Value> {
         case("sim3", None, 1.0, "frames", true, false),
         case("scale", None, 25.0, "frames", true, true),
         case("origin", None, 0.5, "meters", false, false),
-        case("se3", Some(120), 0.5, "meters", true, false),
-        case("sim3", Some(200), 4.0, "degrees", false, true),
+        case("se3", Some(400), 0.5, "meters", true, false),
+        case("sim3", Some(500), 4.0, "degrees", false, true),
         case("none", None, 10.0, "degrees", true, false),
         case("none", None, 0.2, "radians", false, false),
     ]
 }
 
-/// Every fourth pose of an estimate, seen a few milliseconds late, moved, turned and stretched a little.
+/// Every sixth pose of an estimate, seen a few milliseconds late, moved, turned and stretched a little.
 fn spoil(world: &Path, to: &Path) {
     let text = fs::read_to_string(world).expect("poses");
     let mut spoilt = String::from("# t x y z qx qy qz qw\n");
     for (index, line) in text.lines().filter(|line| !line.starts_with('#')).enumerate() {
-        if !index.is_multiple_of(4) {
+        if !index.is_multiple_of(6) {
             continue;
         }
         let fields: Vec<f64> = line.split(' ').map(|field| field.parse().expect("number")).collect();
-        let late_s = 0.001 * (index % 12) as f64;
+        let late_s = 0.001 * (index % 11) as f64;
         let [x, y, z] = [1, 2, 3].map(|field| fields[field]);
         let moved = [1.01 * x + 0.02 * y, 1.01 * y - 0.02 * x + 0.3, 1.01 * z - 0.1];
         spoilt += &format!(

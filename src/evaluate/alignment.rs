@@ -33,9 +33,10 @@ pub(super) struct Similarity {
 
 impl Alignment {
     /// What maps the estimate onto the truth, by least squares over positions: Umeyama, "Least-squares estimation
-    /// of transformation parameters between two point patterns" (1991).
-    pub(super) fn solve(self, pairs: &[Pair]) -> Similarity {
-        let unscaled = |motion| Similarity { scale: 1.0, motion };
+    /// of transformation parameters between two point patterns" (1991). `None` if positions that lie on a line, or in
+    /// one point, leave the rotation open.
+    pub(super) fn solve(self, pairs: &[Pair]) -> Option<Similarity> {
+        let unscaled = |motion| Some(Similarity { scale: 1.0, motion });
         let (Some(first), false) = (pairs.first(), self == Alignment::None) else {
             return unscaled(Se3::identity());
         };
@@ -57,28 +58,31 @@ impl Alignment {
                 let (x, y) = (spread[(0, 0)] + spread[(1, 1)], spread[(1, 0)] - spread[(0, 1)]);
                 (So3::exp(&(Vec3::z() * libm::atan2(y, x))), 0.0)
             }
-            _ => closest_rotation(&spread),
+            _ => closest_rotation(&(spread / count))?,
         };
+        let trace = trace * count;
         let scale = match self {
             Alignment::Sim3 | Alignment::Scale if variance > 0.0 => trace / variance,
             _ => 1.0,
         };
         if self == Alignment::Scale {
-            return Similarity { scale, motion: Se3::identity() };
+            return Some(Similarity { scale, motion: Se3::identity() });
         }
-        Similarity { scale, motion: Se3::new(rotation, truth_mean - rotation * estimate_mean * scale) }
+        Some(Similarity { scale, motion: Se3::new(rotation, truth_mean - rotation * estimate_mean * scale) })
     }
 }
 
-/// The rotation `R` that maximizes `trace(Rᵀ spread)`, and that trace.
-fn closest_rotation(spread: &Mat3) -> (So3, f64) {
+/// The rotation `R` that maximizes `trace(Rᵀ spread)`, and that trace; `None` if there are several.
+fn closest_rotation(spread: &Mat3) -> Option<(So3, f64)> {
     let decomposition = spread.svd(true, true);
-    let (Some(left), Some(right)) = (decomposition.u, decomposition.v_t) else {
-        return (So3::identity(), 0.0);
-    };
+    let (left, right) = (decomposition.u?, decomposition.v_t?);
     // Singular values are in falling order.
+    let values = decomposition.singular_values;
+    if values[1] <= f64::EPSILON {
+        return None;
+    }
     let mut handedness = Vec3::repeat(1.0);
     handedness.z = (left * right).determinant().signum();
     let rotation = So3::from_matrix(&(left * Mat3::from_diagonal(&handedness) * right));
-    (rotation, decomposition.singular_values.dot(&handedness))
+    Some((rotation, values.dot(&handedness)))
 }

@@ -158,7 +158,7 @@ pub struct EvoReport {
 /// Compares as evo does; both trajectories in order of their stamps.
 ///
 /// # Errors
-/// [`EvaluateError`] if no stamps are near each other.
+/// [`EvaluateError`] if no stamps are near each other, or positions do not tell how to align.
 pub fn evo(
     truth: &[StampedPose],
     estimate: &[StampedPose],
@@ -174,7 +174,7 @@ pub fn evo(
         return Err(EvaluateError::NothingInCommon { truth, estimate, note: "" });
     }
     let first = options.align_first.map_or(pairs.len(), |first| first.min(pairs.len()));
-    let similarity = options.alignment.solve(&pairs[..first]);
+    let similarity = options.alignment.solve(&pairs[..first]).ok_or(EvaluateError::NoAlignment)?;
     pairs.iter_mut().for_each(|pair| pair.estimate = similarity.apply(&pair.estimate));
     let steps = steps(&pairs, options);
     let ape = Relation::OF_APE.into_iter().filter_map(|relation| {

@@ -66,6 +66,11 @@ pub enum EvaluateError {
     /// One of the two has no poses.
     #[error("the {0} has no poses")]
     Empty(&'static str),
+    /// Positions do not tell how to align.
+    #[error(
+        "cannot be aligned: all positions lie on one line or in one point, which leaves the rotation open"
+    )]
+    NoAlignment,
     /// No estimate is where there is truth.
     #[error("nothing to compare: the truth is from {} s to {} s, the estimate from {} s to {} s{note}",
             truth[0], truth[1], estimate[0], estimate[1])]
@@ -187,7 +192,7 @@ pub fn compare(
     let (Some(first), Some(last)) = (pairs.first(), pairs.last()) else { return Err(nothing) };
     let (start_s, end_s) = (first.stamp.as_seconds(), last.stamp.as_seconds());
 
-    let truth_from_estimate = options.alignment.solve(&pairs);
+    let truth_from_estimate = options.alignment.solve(&pairs).ok_or(EvaluateError::NoAlignment)?;
     pairs.iter_mut().for_each(|pair| pair.estimate = truth_from_estimate.apply(&pair.estimate));
     let within = |interval: &Interval| errors(pairs.iter().filter(|pair| interval.holds(pair.stamp)));
     let mut names: Vec<&str> = options.intervals.iter().map(|one| one.condition.as_str()).collect();

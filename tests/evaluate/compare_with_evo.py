@@ -7,6 +7,7 @@ CASES.json is a list of objects with the keys align, align_first, delta, delta_u
 Prints a list of objects {"pairs", "ape": {relation: {statistic: value}}, "rpe": {...}}, in the same order.
 """
 
+import contextlib
 import copy
 import json
 import sys
@@ -39,21 +40,25 @@ def main():
     truth = file_interface.read_tum_trajectory_file(truth_path)
     estimate = file_interface.read_tum_trajectory_file(estimate_path)
     truth, estimate = sync.associate_trajectories(truth, estimate)
-    results = []
-    for case in json.load(open(cases_path)):
-        aligned = copy.deepcopy(estimate)
-        align(aligned, truth, case)
-        pair = (truth, aligned)
-        ape = {name: figures(metrics.APE(metrics.PoseRelation[name]), pair) for name in APE}
-        step = dict(
-            delta=case["delta"],
-            delta_unit=UNITS[case["delta_unit"]],
-            all_pairs=case["all_pairs"],
-            pairs_from_reference=case["pairs_from_truth"],
-        )
-        rpe = {name: figures(metrics.RPE(metrics.PoseRelation[name], **step), pair) for name in RPE}
-        results.append({"pairs": truth.num_poses, "ape": ape, "rpe": rpe})
+    # evo prints its progress.
+    with contextlib.redirect_stdout(sys.stderr):
+        results = [judge(truth, estimate, case) for case in json.load(open(cases_path))]
     print(json.dumps(results))
+
+
+def judge(truth, estimate, case):
+    aligned = copy.deepcopy(estimate)
+    align(aligned, truth, case)
+    pair = (truth, aligned)
+    ape = {name: figures(metrics.APE(metrics.PoseRelation[name]), pair) for name in APE}
+    step = dict(
+        delta=case["delta"],
+        delta_unit=UNITS[case["delta_unit"]],
+        all_pairs=case["all_pairs"],
+        pairs_from_reference=case["pairs_from_truth"],
+    )
+    rpe = {name: figures(metrics.RPE(metrics.PoseRelation[name], **step), pair) for name in RPE}
+    return {"pairs": truth.num_poses, "ape": ape, "rpe": rpe}
 
 
 if __name__ == "__main__":
