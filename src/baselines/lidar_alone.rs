@@ -1,7 +1,7 @@
 //! Lidar odometry alone, aligned at the start: what CompSLAM's output is to the paper.
 //!
-//! At the first lidar pose after the start, `world_from_lidarmap = world_from_imu imu_from_lidar lidarmap_from_lidar⁻¹`
-//! is fixed for good; from then on each lidar pose is an estimate, at the pose's own stamp and rate. Its covariance
+//! At the first lidar pose after the start,
+//! `world_from_lidarmap = world_from_imu imu_from_lidar lidarmap_from_lidar⁻¹` is fixed for good; from then on each lidar pose is an estimate, at the pose's own stamp and rate. Its covariance
 //! is that of the start and of a walk with the configured sigmas of an increment.
 
 use crate::estimator::{Admitted, Correction, Method, Options, Start, Starter};
@@ -31,13 +31,15 @@ pub struct LidarAlone {
 enum Phase {
     Waiting,
     /// Carried by the IMU to the first lidar pose.
-    Started {
-        stamp: Stamp,
-        state: NavState,
-        covariance: StateMatrix,
-        samples: SampleBuffer,
-    },
+    Started(Box<Started>),
     Aligned(Box<Aligned>),
+}
+
+struct Started {
+    stamp: Stamp,
+    state: NavState,
+    covariance: StateMatrix,
+    samples: SampleBuffer,
 }
 
 struct Aligned {
@@ -68,7 +70,8 @@ impl LidarAlone {
         let mut samples = SampleBuffer::default();
         start.samples.iter().for_each(|sample| samples.push(*sample));
         let covariance = start.information.try_inverse().unwrap_or_else(StateMatrix::identity);
-        self.phase = Phase::Started { stamp: start.stamp, state: start.state, covariance, samples };
+        let started = Started { stamp: start.stamp, state: start.state, covariance, samples };
+        self.phase = Phase::Started(Box::new(started));
         for reading in &start.readings {
             if let Reading::LidarOdometry(pose) = reading {
                 self.take_pose(pose);
@@ -79,13 +82,13 @@ impl LidarAlone {
     fn take_pose(&mut self, pose: &LidarPose) -> Option<Estimate> {
         match &mut self.phase {
             Phase::Waiting => None,
-            Phase::Started { stamp, state, covariance, samples } => {
-                let steps = samples.steps(*stamp, pose.stamp)?;
+            Phase::Started(started) => {
+                let steps = started.samples.steps(started.stamp, pose.stamp)?;
                 let gravity = &self.options.smoother.gravity;
-                let state = steps.fold(*state, |state, step| propagate(&state, &step, gravity));
+                let state = steps.fold(started.state, |state, step| propagate(&state, &step, gravity));
                 let lidarmap_from_imu = pose.lidarmap_from_lidar * self.options.imu_from_lidar.inverse();
                 let world_from_lidarmap = state.world_from_imu() * lidarmap_from_imu.inverse();
-                let covariance = *covariance;
+                let covariance = started.covariance;
                 let aligned = Aligned { world_from_lidarmap, state, covariance, last: pose.stamp };
                 self.phase = Phase::Aligned(Box::new(aligned));
                 None
@@ -98,6 +101,20 @@ impl LidarAlone {
                 self.estimates += 1;
                 Some(step)
             }
+        }
+    }
+}
+
+impl Started {
+    /// While no lidar pose comes, the state is carried along, so that the samples stay few.
+    fn push(&mut self, sample: &ImuSample, gravity: &Vec3) {
+        self.samples.push(*sample);
+        let oldest = sample.stamp - SAMPLES_KEPT;
+        if self.stamp < oldest - SAMPLES_KEPT {
+            let steps = self.samples.steps(self.stamp, oldest).into_iter().flatten();
+            self.state = steps.fold(self.state, |state, step| propagate(&state, &step, gravity));
+            self.stamp = oldest;
+            self.samples.forget_before(oldest);
         }
     }
 }
@@ -168,16 +185,8 @@ impl Method for LidarAlone {
                 let start = self.starter.seek(reading)?;
                 self.begin(&start);
             }
-            (Phase::Started { stamp, state, samples, .. }, Reading::Imu(sample)) => {
-                samples.push(*sample);
-                let oldest = sample.stamp - SAMPLES_KEPT;
-                if *stamp < oldest - SAMPLES_KEPT {
-                    let gravity = &self.options.smoother.gravity;
-                    let steps = samples.steps(*stamp, oldest).into_iter().flatten();
-                    *state = steps.fold(*state, |state, step| propagate(&state, &step, gravity));
-                    *stamp = oldest;
-                    samples.forget_before(oldest);
-                }
+            (Phase::Started(started), Reading::Imu(sample)) => {
+                started.push(sample, &self.options.smoother.gravity);
             }
             _ => {}
         }
@@ -191,7 +200,7 @@ impl Method for LidarAlone {
     fn health(&self) -> Health {
         let newest = match &self.phase {
             Phase::Aligned(aligned) => Some((&aligned.state, &aligned.covariance, Mode::Fallback)),
-            Phase::Started { state, covariance, .. } => Some((state, covariance, Mode::ImuOnly)),
+            Phase::Started(started) => Some((&started.state, &started.covariance, Mode::ImuOnly)),
             Phase::Waiting => None,
         };
         health(&self.starter, self.now, newest, self.estimates)

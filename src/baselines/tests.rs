@@ -418,11 +418,11 @@ fn perfect_sensors_give_the_truth() {
 fn an_imu_gap_starts_every_filter_anew() {
     for kind in [Kind::Tsif, Kind::Msf, Kind::DeadReckoning] {
         let scenario = scenario("construction.toml");
-        let mut simulation = Simulation::new(&scenario, 0).ending_at(Stamp::from_seconds(9.0));
+        let simulation = Simulation::new(&scenario, 0).ending_at(Stamp::from_seconds(9.0));
         let mut method = kind.estimator(simulation.machine().estimator_options());
         let gap = |stamp: Stamp| (4.0..5.0).contains(&stamp.as_seconds());
         let mut last = None;
-        while let Some(arrival) = simulation.next() {
+        for arrival in simulation {
             if matches!(arrival.reading, Reading::Imu(_)) && gap(arrival.reading.stamp()) {
                 continue;
             }

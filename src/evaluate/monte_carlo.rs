@@ -220,15 +220,19 @@ const MEASURES: [Measure; 10] = [
     ("outage: position NEES", |outcome| outcome.outage_nees),
 ];
 
+type ByName<T> = BTreeMap<&'static str, T>;
+type Measures = ByName<Option<Tails>>;
+type Lengths = Vec<(f64, Option<Tails>)>;
+
 /// All results.
 #[derive(Clone, Debug, Serialize)]
 pub struct Results {
     runs: u64,
     first_seed: u64,
     /// Task, method, measure.
-    methods: BTreeMap<&'static str, BTreeMap<&'static str, BTreeMap<&'static str, Option<Tails>>>>,
+    methods: ByName<ByName<Measures>>,
     /// Task, lidar, length (s): RMSE in the outage, cm.
-    outages: BTreeMap<&'static str, BTreeMap<&'static str, Vec<(f64, Option<Tails>)>>>,
+    outages: ByName<ByName<Lengths>>,
 }
 
 /// Puts outcomes together; they are in the order of the jobs.

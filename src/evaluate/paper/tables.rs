@@ -276,13 +276,16 @@ pub(super) fn consistency(task: &TaskStudy) -> Sheet {
     sheet
 }
 
+/// A mean of squared errors over their variances, and its bounds, if they are known.
+type Normalized = (f64, Option<[f64; 2]>);
+
 /// Whether covariances are meant.
 pub(super) fn covariance(task: &TaskStudy) -> Sheet {
     let mut sheet = Sheet::of_methods(&format!(
         "Squared errors over their covariance in the {} task: 1 is as the covariance says",
         task.task.name()
     ));
-    let mut row = |name: &str, value: &dyn Fn(&[Trial]) -> (f64, Option<[f64; 2]>), why: &str| {
+    let mut row = |name: &str, value: &dyn Fn(&[Trial]) -> Normalized, why: &str| {
         let cell = |trials: &[Trial]| {
             let (value, bounds) = value(trials);
             let text = match bounds {
