@@ -223,7 +223,7 @@ pub(super) fn accuracy(task: &TaskStudy) -> Sheet {
         &|all| scaled(1.0, errors(all, |trial| &trial.outage).heading_rmse_deg()),
         drift,
     );
-    let jump = "the jump is the error that the outage has left, one draw of a walk";
+    let jump = "ours takes the whole correction in one step once it trusts the fixes again, a filter takes it fix by fix";
     let jump_m =
         |all: &[Trial]| Some(largest(all, |trial| trial.return_jump_m)).filter(|jump_m| *jump_m > 0.0);
     row(
