@@ -1,6 +1,7 @@
 //! holdfast tells a construction site where each of its excavators is, to the centimetre, also when GNSS
 //! lets go. `src/README.md` is the map of the rooms; imports only look down.
 
+pub mod baselines;
 pub mod cli;
 pub mod config;
 pub mod estimator;

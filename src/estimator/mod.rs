@@ -14,18 +14,23 @@ mod inbox;
 mod inflation;
 mod initialization;
 mod lidar;
+mod method;
 mod monitor;
 mod options;
 mod place;
 mod predictor;
 mod resumption;
 mod standstill;
+mod starter;
 mod ties;
 mod updater;
 
 pub use gate::Options as GateOptions;
+pub use initialization::Start;
+pub use method::Method;
 pub use options::{InOutage, Initialization, Options};
 pub use predictor::Predictor;
+pub use starter::{Admitted, Starter};
 pub use updater::Updater;
 
 use crate::sensors::Arrival;

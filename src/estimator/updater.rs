@@ -586,7 +586,7 @@ impl Updater {
     }
 }
 
-fn standstill_of(options: &Options) -> Standstill {
+pub(super) fn standstill_of(options: &Options) -> Standstill {
     let noise = &options.smoother.noise;
     Standstill::new(Stillness::of(noise.gyroscope_noise_density, noise.accelerometer_noise_density))
 }
