@@ -2,6 +2,7 @@
 //! lets go. `src/README.md` is the map of the rooms; imports only look down.
 
 pub mod baselines;
+pub mod batch;
 pub mod cli;
 pub mod config;
 pub mod estimator;
