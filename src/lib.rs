@@ -22,6 +22,7 @@ pub mod machine;
 pub mod player;
 pub mod preintegration;
 pub mod record;
+pub mod reference;
 pub mod replay;
 pub mod sensors;
 pub mod simulate;

@@ -22,7 +22,7 @@ use crate::time::Stamp;
 
 /// Bytes that a node of a chain takes while it is solved, with three edges to each; what its factors take is not
 /// counted.
-pub const NODE_BYTES: usize = 20_000;
+pub const NODE_BYTES: usize = 16_000;
 
 /// Damping that the first failed step begins with, as a part of the diagonal; and the largest.
 const DAMPING: [f64; 2] = [1.0e-6, 1.0e6];
