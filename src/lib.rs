@@ -24,6 +24,7 @@ pub mod preintegration;
 pub mod record;
 pub mod reference;
 pub mod replay;
+pub mod review;
 pub mod sensors;
 pub mod simulate;
 #[cfg(feature = "shells")]

@@ -104,7 +104,7 @@ pub fn main() -> ExitCode {
         Command::Demo(arguments) => demo::run(arguments).map(|()| Outcome::Done),
         Command::Simulate(arguments) => simulate::run(arguments).map(|()| Outcome::Done),
         Command::Estimate(arguments) => estimate::run(arguments),
-        Command::Evaluate(arguments) => evaluate::run(arguments).map(|()| Outcome::Done),
+        Command::Evaluate(arguments) => evaluate::run(arguments),
         Command::Smooth(arguments) => smooth::run(arguments),
         Command::Import(arguments) => import::run(arguments),
         Command::Export(arguments) => export::run(arguments),

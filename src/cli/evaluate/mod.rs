@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::progress::{Progress, Unit};
-use super::{BadArguments, must_exist};
+use super::{BadArguments, Outcome, must_exist};
 use crate::config::{self, Machine};
 use crate::evaluate::comparison::{self, Fixes, Given, Judgement, RunSummary};
 use crate::evaluate::{Alignment, DeltaUnit, Errors, EvoOptions, Options, Report, monte_carlo, paper};
@@ -18,6 +18,7 @@ use crate::import::{
 use crate::sensors::Reading;
 
 mod crowd;
+mod session;
 mod study;
 
 /// Compare estimated trajectories with the true one, or methods with each other
@@ -33,10 +34,19 @@ mod study;
 /// runs of each, medians and tails, and accuracy against the length of an outage and the quality of the lidar. The same
 /// seeds give the same figures whatever the number of threads, latencies apart.
 ///
-/// Exit codes: 0 done, 1 failed, 2 bad arguments or machine file.
+/// Of a real session (SESSION), which has no truth: for how long the position was known and by what, outages, how well fixes
+/// fitted, how far updates moved predictions, how late things were, and how far the live position was from the session
+/// solved as a whole (`holdfast smooth`), in plain words, with plots. With --out, one page to print (report.html) and the
+/// same as report.json. All readings are held in memory, some 60 kB for each second of a machine, and 19 kB for each
+/// measurement; beyond --memory-mb the page goes without the whole solution, and says so.
+///
+/// Exit codes: 0 done, 1 failed, 2 bad arguments or machine file, 3 done, but a part of the session could not be read.
 #[derive(Debug, clap::Args)]
-#[command(group = clap::ArgGroup::new("what").required(true).args(["truth", "paper", "monte_carlo"]))]
+#[command(group = clap::ArgGroup::new("what").required(true).args(["session", "truth", "paper", "monte_carlo"]))]
 pub struct Arguments {
+    /// Recording of holdfast, folder of a session, or log folder; without a truth
+    #[arg(value_name = "SESSION")]
+    pub session: Option<PathBuf>,
     /// True trajectory, lines of `t x y z qx qy qz qw` (TUM)
     #[arg(long, value_name = "TUM", requires = "estimate")]
     pub truth: Option<PathBuf>,
@@ -63,9 +73,13 @@ pub struct Arguments {
     /// reported sigmas the machine file does not refuse
     #[arg(long, value_name = "DIR", requires = "truth", requires = "machine")]
     pub log: Option<PathBuf>,
-    /// Machine file, which says where the antenna is
-    #[arg(long, value_name = "TOML", requires = "log")]
+    /// Machine file: of --log, which says where the antenna is; or of the machine to judge in SESSION, if that does not
+    /// hold its own
+    #[arg(long, value_name = "TOML", conflicts_with_all = ["paper", "monte_carlo"])]
     pub machine: Option<PathBuf>,
+    /// SESSION: memory that its whole solution may take
+    #[arg(long, value_name = "MB", default_value_t = 4_000)]
+    pub memory_mb: usize,
     /// What to take out first, fitted over all positions: nothing, translation and yaw, a rigid motion, a rigid
     /// motion with scale, the scale alone, or the motion between the first poses
     #[arg(long, value_enum, default_value_t = Align::None, requires = "truth")]
@@ -157,7 +171,11 @@ struct Estimate<'a> {
 ///
 /// # Errors
 /// A file cannot be read or written, or nothing can be compared.
-pub fn run(arguments: Arguments) -> Result<(), Box<dyn Error>> {
+pub fn run(arguments: Arguments) -> Result<Outcome, Box<dyn Error>> {
+    if let Some(session) = &arguments.session {
+        let (machine, out) = (arguments.machine.as_deref(), arguments.out.as_deref());
+        return session::run(session, machine, arguments.memory_mb, out);
+    }
     let threads = arguments.threads.unwrap_or_else(crowd::processors);
     let out = arguments.out.as_deref();
     let (seed, end_s) = (arguments.seed, arguments.until_s);
@@ -168,7 +186,8 @@ pub fn run(arguments: Arguments) -> Result<(), Box<dyn Error>> {
             study::monte_carlo(&limits, threads, out)
         }
         (None, None) => study::paper(paper::Limits { seed, end_s }, threads, out),
-    }
+    }?;
+    Ok(Outcome::Done)
 }
 
 fn files(arguments: &Arguments, truth_path: &Path) -> Result<(), Box<dyn Error>> {
