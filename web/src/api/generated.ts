@@ -842,7 +842,10 @@ export interface components {
              */
             travelled_m: number;
         };
-        /** @description Whether an outage goes on. */
+        /**
+         * @description Whether an outage goes on.
+         * @enum {string}
+         */
         OutageState: "open" | "ended";
         /** @description An outage. */
         OutageView: {
