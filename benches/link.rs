@@ -94,7 +94,9 @@ fn cut(dice: &mut Dice, cuts: u64, seconds: u64) {
     site.end();
     let count = assert_complete(&yard, id);
     let max = |values: &[f64]| values.iter().copied().fold(0.0, f64::max);
-    println!("{cuts} cuts of {seconds} s: {count} of {count} messages, in order, none twice; link {link}");
+    println!(
+        "{cuts} cuts of {seconds} s: all of {count} messages on board are recorded, none twice; link {link}"
+    );
     println!("live again after {:.2} s at most, filled after {:.2} s at most", max(&back), max(&filled));
     println!(
         "age of the newest pose, as seen over HTTP: undisturbed {}; while fetching {}",

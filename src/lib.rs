@@ -1,6 +1,8 @@
 //! holdfast tells a construction site where each of its excavators is, to the centimetre, also when GNSS
 //! lets go. `src/README.md` is the map of the rooms; imports only look down.
 
+pub mod baselines;
+pub mod batch;
 pub mod cli;
 pub mod config;
 pub mod estimator;
@@ -20,7 +22,9 @@ pub mod machine;
 pub mod player;
 pub mod preintegration;
 pub mod record;
+pub mod reference;
 pub mod replay;
+pub mod review;
 pub mod sensors;
 pub mod simulate;
 #[cfg(feature = "shells")]

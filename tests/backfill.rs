@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use holdfast::record::{self, read_in_order, read_live_runs_of};
+use holdfast::record::{self, read_in_order, read_live_runs};
 use holdfast::replay::again;
 use holdfast::simulate::Scenario;
 use holdfast::wire::{RosMessage as _, Topic, odom_message, pose_message};
@@ -77,7 +77,7 @@ fn whatever_the_link_loses_is_in_the_recording_in_the_end_once_and_in_order() {
     assert!(of_file.windows(2).any(|pair| pair[0].sent > pair[1].sent), "nothing came late");
 
     // What was estimated on the machine is found again to the bit.
-    let runs = read_live_runs_of(refs(&files), MACHINE).expect("reads");
+    let runs = read_live_runs(refs(&files), MACHINE).expect("reads");
     let [run] = &runs[..] else { panic!("{} boots", runs.len()) };
     assert_eq!(run.gap, None);
     let scenario = Scenario::load(&yard.folder.join("scenarios/demo.toml")).expect("valid");
@@ -135,6 +135,43 @@ fn whoever_is_killed_nothing_of_what_machines_recorded_is_missing_in_the_end() {
         // A boot that was killed within its first second may have left nothing.
         println!("{id}: {count} messages of {boots} boots");
         assert!(count > 2_000 && boots >= 1, "{count} messages of {boots} boots");
+    }
+}
+
+#[test]
+fn what_was_being_fetched_when_somebody_stopped_the_recording_is_in_the_next_one() {
+    let yard = yard("backfill-stop");
+    let (mut site, address) = yard.site();
+    let mut machine = yard.machine(MACHINE);
+    until(&address, MACHINE, "live", is_live);
+    yard.proxy.set(Link::Cut);
+    std::thread::sleep(Duration::from_secs(15));
+    yard.proxy.set(Link::Whole);
+    until(&address, MACHINE, "fetched from", |view| {
+        view["link"]["gaps_filled"].as_u64() > Some(0) && !lacks_nothing(view)
+    });
+    let session = fleet::get(&address, "/api/v1/sessions").expect("answers")["recording"]["session"].clone();
+    let stop = format!("/api/v1/sessions/{}/stop", session.as_str().expect("one runs"));
+    assert_eq!(fleet::post(&address, &stop).expect("answers")["state"], "complete");
+    std::thread::sleep(Duration::from_secs(1));
+    assert!(!lacks_nothing(&machine_view(&address, MACHINE).expect("answers")), "all was fetched before");
+    assert_eq!(fleet::post(&address, "/api/v1/sessions").expect("answers")["state"], "recording");
+    until_complete(&address, MACHINE);
+    machine.end();
+    std::thread::sleep(Duration::from_millis(500));
+    site.end();
+    // What came by itself while nothing was recorded, one run of each topic, is not there; all else is.
+    let on_board = contents(&yard.on_board(MACHINE), MACHINE);
+    let recorded = contents(&yard.recordings(), MACHINE);
+    assert_eq!(recorded.doubles, []);
+    let mut missing: BTreeMap<Topic, Vec<u64>> = BTreeMap::new();
+    for (_, topic, number) in on_board.messages.keys().filter(|name| !recorded.messages.contains_key(*name)) {
+        missing.entry(*topic).or_default().push(*number);
+    }
+    for (topic, numbers) in missing {
+        let (first, last) = (numbers[0], numbers[numbers.len() - 1]);
+        assert_eq!(last - first + 1, numbers.len() as u64, "{topic}: {numbers:?}");
+        assert!(numbers.len() < 300, "{topic}: {numbers:?}");
     }
 }
 

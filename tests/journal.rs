@@ -56,7 +56,7 @@ fn published_poses_come_out_of_the_recording_again_to_the_bit() {
         published.entry(message.topic).or_default().push(message.payload);
     }
 
-    let runs = read_live_runs(&recording, MACHINE).expect("reads");
+    let runs = read_live_runs([recording.as_path()], MACHINE).expect("reads");
     let [run] = &runs[..] else { panic!("{} boots", runs.len()) };
     assert_eq!(run.gap, None);
     assert_eq!(run.run.arrivals.len(), readings, "every reading has its place");

@@ -127,7 +127,8 @@ struct Killed {
 }
 
 impl Killed {
-    fn check(&self) {
+    /// Returns which file it is, and in what state.
+    fn check(&self) -> (PathBuf, FileState) {
         let Self { round, victim, path, at, spoke } = self;
         let content = open(path);
         let lacks = |id| content.last_received.get(id).map(|last| (*at - *last).as_seconds());
@@ -143,6 +144,7 @@ impl Killed {
             let is_short = |id| lacks(id).is_some_and(|lack_s| lack_s <= limit.as_seconds());
             assert!(MACHINES.into_iter().all(is_short), "round {round}");
         }
+        (path.clone(), content.state)
     }
 }
 
@@ -151,6 +153,7 @@ fn whoever_is_killed_at_whatever_moment_the_recording_opens_and_lacks_a_second_a
     let mut dice = Dice::seeded("HOLDFAST_KILL_SEED");
     let folder = Folder::new("rounds");
     let mut unrecovered: Option<Killed> = None;
+    let mut states: BTreeMap<PathBuf, FileState> = BTreeMap::new();
     for round in 0..8 {
         let earlier = folder.recordings();
         let mut site = site(&folder);
@@ -174,7 +177,7 @@ fn whoever_is_killed_at_whatever_moment_the_recording_opens_and_lacks_a_second_a
         drop(machines);
         recovered(&earlier);
         if let Some(before) = unrecovered.take() {
-            before.check();
+            states.extend([before.check()]);
         }
         let mut made = folder.recordings();
         made.retain(|file| !earlier.contains(file));
@@ -183,23 +186,22 @@ fn whoever_is_killed_at_whatever_moment_the_recording_opens_and_lacks_a_second_a
         let this = Killed { round, victim, path, at: killed, spoke: wait > QUIET_AT_MOST };
         // Every other time the next start of the site recovers it.
         if victim == Victim::Machine {
-            this.check();
+            states.extend([this.check()]);
         } else if dice.below(2) == 0 {
             record::recover(&this.path).expect("recovers");
-            this.check();
+            states.extend([this.check()]);
         } else {
             unrecovered = Some(this);
         }
     }
     if let Some(last) = unrecovered {
         record::recover(&last.path).expect("recovers");
-        last.check();
+        states.extend([last.check()]);
     }
+    // Later starts have left alone what was proper before.
+    assert_eq!(folder.recordings().len(), states.len());
     for file in folder.recordings() {
-        assert!(matches!(
-            open(&file).state,
-            FileState::Complete | FileState::Recovered | FileState::Truncated
-        ));
+        assert_eq!(Some(&open(&file).state), states.get(&file), "{}", file.display());
     }
 }
 
@@ -254,14 +256,24 @@ fn site_killed_while_it_recovers_has_lost_nothing_and_recovers_at_the_next_start
     // As if the writer had died after its last chunk.
     std::fs::File::options().write(true).open(&torn).and_then(|file| file.set_len(whole)).expect("cut");
 
+    // How long it takes when nobody interrupts it.
+    let beside = folder.0.join("torn");
+    std::fs::copy(&torn, &beside).expect("copied");
+    let begun = Instant::now();
+    record::recover(&beside).expect("recovers");
+    let takes_ms = u64::try_from(begun.elapsed().as_millis()).expect("short").max(8);
+
     let mut interrupted = 0;
-    for _ in 0..4 {
+    for _ in 0..6 {
         let mut site = site(&folder);
-        std::thread::sleep(dice.millis(10, 250));
+        // It has begun when the site listens, or will in a moment.
+        endpoint(&mut site);
+        std::thread::sleep(dice.millis(0, takes_ms / 2));
         site.kill();
         interrupted += usize::from(record::inspect(&torn).is_err());
     }
-    println!("interrupted {interrupted} times");
+    println!("interrupted {interrupted} times; it takes {takes_ms} ms");
+    assert!(interrupted > 0, "it was never interrupted");
     let mut site = site(&folder);
     recovered(std::slice::from_ref(&torn));
     site.end();

@@ -14,8 +14,8 @@ use holdfast::sensors::{Arrival, ImuSample, Reading, Sensor};
 use holdfast::simulate::{Scenario, Simulation};
 use holdfast::time::Stamp;
 use holdfast::wire::{
-    Attachment, Batch, Holdings, Kept, Key, Odometry, RecordRequest, RosMessage, Topic, Wanted, WireError,
-    alive_selector, decode_event, decode_journal_page, decode_reading, decode_report, encode_json,
+    Attachment, Batch, BootId, Holdings, Kept, Key, Odometry, RecordRequest, RosMessage, Topic, Wanted,
+    WireError, alive_selector, decode_event, decode_journal_page, decode_reading, decode_report, encode_json,
     encode_reading, record_key, topic_key,
 };
 use tokio::sync::mpsc;
@@ -222,10 +222,10 @@ async fn played_machine_is_seen_whole_by_a_third_party() {
 }
 
 /// What the machine's own record answers.
-async fn ask(observer: &Observer, request: &RecordRequest) -> Vec<u8> {
+async fn ask(observer: &Observer, boot: BootId, request: &RecordRequest) -> Vec<u8> {
     let question = encode_json("question", request).expect("JSON");
-    let answers =
-        observer.session.get(record_key("site", "walker-1")).payload(question).await.expect("asked");
+    let key = record_key("site", "walker-1", boot);
+    let answers = observer.session.get(key).payload(question).await.expect("asked");
     let answer =
         tokio::time::timeout(PATIENCE, answers.recv_async()).await.expect("in time").expect("answered");
     answer.result().expect("no refusal").payload().to_bytes().into_owned()
@@ -242,7 +242,12 @@ async fn record_on_board_gives_out_what_was_sent_as_it_was() {
     let peer = Machine::start(Options { machine, source, speed: 1.0 }).await.expect("start");
     let boot = peer.boot();
     tokio::time::sleep(Duration::from_secs(6)).await;
-    let holdings = Holdings::decode(&ask(&observer, &RecordRequest::Holdings).await).expect("holdings");
+    let holdings =
+        Holdings::decode(&ask(&observer, peer.boot(), &RecordRequest::Holdings).await).expect("holdings");
+    // Of two machines with the same id each answers for itself.
+    let other = record_key("site", "walker-1", BootId(!boot.0));
+    let answers = observer.session.get(other).await.expect("asked");
+    assert!(answers.recv_async().await.is_err(), "answered for another");
     let [held] = &holdings.boots[..] else { panic!("{holdings:?}") };
     assert_eq!((holdings.kept, held.boot, held.current), (Kept::Yes, boot, true));
     let mut wanted: Wanted = held.topics.iter().map(|(topic, range)| (*topic, vec![*range])).collect();
@@ -250,7 +255,7 @@ async fn record_on_board_gives_out_what_was_sent_as_it_was() {
     let mut fetched = BTreeMap::new();
     while !wanted.is_empty() {
         let request = RecordRequest::Messages { boot, wanted: wanted.clone(), bytes: 100_000 };
-        let bytes = ask(&observer, &request).await;
+        let bytes = ask(&observer, boot, &request).await;
         assert!(bytes.len() < 101_000, "{}", bytes.len());
         let batch = Batch::decode(&bytes).expect("batch");
         for (topic, attachment, payload) in batch.messages {
@@ -300,7 +305,8 @@ async fn machine_whose_disk_refuses_says_so_and_works() {
         }
     }
     assert!(failure.expect("told").contains("cannot be created"));
-    let holdings = Holdings::decode(&ask(&observer, &RecordRequest::Holdings).await).expect("holdings");
+    let holdings =
+        Holdings::decode(&ask(&observer, peer.boot(), &RecordRequest::Holdings).await).expect("holdings");
     assert_eq!(holdings, Holdings { kept: Kept::NotNow, boots: vec![] });
     peer.stop().await.expect("no panic");
     link::close(observer.session).await;

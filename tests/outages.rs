@@ -206,13 +206,13 @@ async fn outage_that_goes_on_when_the_server_ends_is_carried_on_by_the_next_and_
     assert_eq!((&view["gnss"]["mode"], &current["cause"]), (&"fallback".into(), &"silent".into()), "{view}");
     let id = current["id"].as_str().expect("an id").to_owned();
     let open = get(site.address(), "/api/v1/outages?state=open").await.json();
-    assert_eq!(ids(&open), [id.clone()]);
+    assert_eq!(ids(&open), [id.as_str()]);
     site.stop().await;
 
     let site = Site::start(&folder.config()).await.expect("starts again");
     let address = site.address();
     let open = get(address, "/api/v1/outages?state=open").await.json();
-    assert_eq!(ids(&open), [id.clone()], "before the machine is heard");
+    assert_eq!(ids(&open), [id.as_str()], "before the machine is heard");
     let outage_before = machine.outage.clone();
     drop(machine);
     let mut machine = Machine::connect("a", 1, &site.endpoints()[0]).await;

@@ -226,6 +226,12 @@ async fn sessions_are_started_and_stopped_by_api_and_no_message_is_lost_between_
         assert_eq!(answer.header("content-type"), "application/problem+json", "{method} {path} {body}");
         assert_eq!(answer.json()["status"], status);
     }
+    // Something is in the way: that is no want of room.
+    let notes = folder.0.join("sessions").join(&second).join("session.json");
+    std::fs::remove_file(&notes).and_then(|()| std::fs::create_dir(&notes)).expect("in the way");
+    let path = format!("/api/v1/sessions/{second}");
+    let refused = exchange_body(address, "PATCH", &path, &[JSON], "{\"name\":\"x\"}").await;
+    assert_eq!((refused.status, &refused.json()["status"]), (503, &json!(503)));
     site.stop().await;
 }
 

@@ -65,7 +65,10 @@ async fn session_is_told_as_tracks_and_events_and_the_past_of_a_machine_as_state
     .await;
     assert_eq!((&track["session"], &track["finished"]), (&session.as_str().into(), &false.into()));
     let told = &track["machines"][0];
-    assert_eq!((&told["id"], &told["name"], &told["software"]), (&"a".into(), &"Number one".into(), &"0".into()));
+    assert_eq!(
+        (&told["id"], &told["name"], &told["software"]),
+        (&"a".into(), &"Number one".into(), &"0".into())
+    );
     let poses = &told["poses"];
     let count = poses["time_s"].as_array().expect("times").len();
     for (name, column) in poses.as_object().expect("columns") {
@@ -76,9 +79,12 @@ async fn session_is_told_as_tracks_and_events_and_the_past_of_a_machine_as_state
     assert_eq!(poses["cabin_position_m"][0], serde_json::json!([10.0, 20.0, -1.0]));
     assert_eq!(poses["heading_deg"][0], 0.0);
     assert_eq!(poses["speed_mps"][0], 0.5);
-    let words: Vec<&str> = told["states"].as_array().expect("states").iter().map(|state| {
-        state["state_word"].as_str().expect("a word")
-    }).collect();
+    let words: Vec<&str> = told["states"]
+        .as_array()
+        .expect("states")
+        .iter()
+        .map(|state| state["state_word"].as_str().expect("a word"))
+        .collect();
     assert_eq!(words[0], "RTK FIXED");
     assert!(words[1].starts_with("HOLDING"), "{words:?}");
     let silence = &told["silences"][0];
@@ -133,7 +139,9 @@ async fn addresses_of_views_are_the_page_and_others_are_nowhere() {
     let site = Site::start(&folder.config()).await.expect("starts");
     let address = site.address();
     let page = get(address, "/").await;
-    for path in ["/alerts", "/outages", "/outages/o-1", "/machines/menzi-1", "/sessions/20261123T050000Z", "/sign-in"] {
+    for path in
+        ["/alerts", "/outages", "/outages/o-1", "/machines/menzi-1", "/sessions/20261123T050000Z", "/sign-in"]
+    {
         let view = get(address, path).await;
         assert_eq!((view.status, &view.body), (200, &page.body), "{path}");
         assert_eq!(view.header("content-type"), "text/html; charset=utf-8");

@@ -25,7 +25,7 @@ pub(super) struct Counters {
     pub(super) output_dropped: AtomicU64,
     /// Messages that were not sent for want of room; they are in the on-board record, if there is one.
     pub(super) unsent: AtomicU64,
-    /// Messages that the on-board record had no room for.
+    /// Messages that may not be in the on-board record: it had no room for them, or its disk failed.
     pub(super) record_dropped: AtomicU64,
     /// From IMU samples to their estimates.
     pub(super) predict: SharedTimes,
@@ -100,10 +100,7 @@ impl Counters {
             ("readings that the updater had no room for", self.update_dropped.load(Ordering::Relaxed)),
             ("messages that the outbox had no room for", self.output_dropped.load(Ordering::Relaxed)),
             ("messages that the network had no room for", self.unsent.load(Ordering::Relaxed)),
-            (
-                "messages that the on-board record had no room for",
-                self.record_dropped.load(Ordering::Relaxed),
-            ),
+            ("messages that the on-board record could not keep", self.record_dropped.load(Ordering::Relaxed)),
         ]
     }
 

@@ -40,6 +40,8 @@ const QUESTIONS_QUEUED: usize = 4;
 const TURN: Duration = Duration::from_millis(100);
 /// However full the disk, a ring is not made smaller than this.
 const BYTES_MIN: u64 = 1_000_000;
+/// One that was made smaller grows again by an eighth each time that the disk took everything for so long.
+const GROW_EVERY: Duration = Duration::from_secs(60);
 /// A disk that refused is tried again after so long.
 const RETRY_AFTER: Duration = Duration::from_secs(5);
 
@@ -131,7 +133,8 @@ impl Keeper {
                     bytes_max: machine.record.size_max_mb.saturating_mul(1_000_000),
                     about,
                 };
-                let keeping = Keeping { options, state: Arc::clone(&state), stopping: Arc::clone(&stopping) };
+                let (state, counters) = (Arc::clone(&state), Arc::clone(&counters));
+                let keeping = Keeping { options, state, counters, stopping: Arc::clone(&stopping) };
                 let thread = spawn("keeper", move || keeping.run(&messages))?;
                 (Some(sender), Some(thread))
             }
@@ -140,7 +143,7 @@ impl Keeper {
         let published = Topic::ALL.into_iter().filter(|topic| is_published(machine, *topic)).collect();
         let for_answers = Arc::clone(&state);
         let answerer = spawn("answerer", move || answer_all(&questions, &for_answers, published))?;
-        let key = record_key(&machine.link.site, &machine.id);
+        let key = record_key(&machine.link.site, &machine.id, boot);
         let declared = session
             .declare_queryable(key.clone())
             .callback(move |query| {
@@ -185,7 +188,38 @@ fn spawn(name: &'static str, body: impl FnOnce() + Send + 'static) -> Result<Joi
 struct Keeping {
     options: RingOptions,
     state: Arc<State>,
+    counters: Arc<Counters>,
     stopping: Arc<AtomicBool>,
+}
+
+/// How large the ring may be: as configured, less where others need the room, and then by and by more again.
+struct Bound {
+    configured: u64,
+    now: u64,
+    /// Since when nothing has failed, or the last step was made.
+    calm_since: Instant,
+}
+
+impl Bound {
+    fn new(configured: u64, now: Instant) -> Self {
+        Self { configured, now: configured, calm_since: now }
+    }
+
+    /// The disk is full while so much is held: an eighth of it goes.
+    fn shrink(&mut self, held: u64, now: Instant) {
+        self.now = (held - held / 8).max(BYTES_MIN).min(self.configured);
+        self.calm_since = now;
+    }
+
+    /// True if the ring may be larger from now on.
+    fn grow(&mut self, now: Instant) -> bool {
+        let grows = self.now < self.configured && now.duration_since(self.calm_since) >= GROW_EVERY;
+        if grows {
+            self.now = (self.now + (self.now / 8).max(BYTES_MIN)).min(self.configured);
+            self.calm_since = now;
+        }
+        grows
+    }
 }
 
 impl Keeping {
@@ -193,56 +227,65 @@ impl Keeping {
         // Not the system's clock, which somebody may set.
         let (origin, start) = (clock::wall(), Instant::now());
         let now = || origin + Span::from_nanos(i64::try_from(start.elapsed().as_nanos()).unwrap_or(i64::MAX));
+        let mut bound = Bound::new(self.options.bytes_max, start);
         loop {
+            self.options.bytes_max = bound.now;
             let outcome = Ring::open(self.options.clone(), self.state.shelf.clone(), now());
             let outcome = outcome.and_then(|ring| {
                 tracing::info!(folder = %self.options.folder.display(), "on-board record");
                 self.state.set(Kept::Yes, None);
-                keep(ring, messages, now)
+                self.keep(ring, messages, &mut bound, now)
             });
             let Err(error) = outcome else { return };
             tracing::error!(%error, "no on-board record; tried again in {} s", RETRY_AFTER.as_secs());
             self.state.set(Kept::NotNow, Some(error.to_string()));
-            if is_disk_full(&error) {
-                // Others need the room: the ring is made smaller, so that its oldest files go.
-                let held = self.state.shelf.bytes();
-                self.options.bytes_max = (held - held / 8).clamp(BYTES_MIN, self.options.bytes_max);
+            let failed_at = Instant::now();
+            if error.is_disk_full() {
+                bound.shrink(self.state.shelf.bytes(), failed_at);
             }
-            let retry_at = Instant::now() + RETRY_AFTER;
+            let retry_at = failed_at + RETRY_AFTER;
             // What comes meanwhile waits in the queue, as much as there is room for.
             while Instant::now() < retry_at {
                 if self.stopping.load(Ordering::Acquire) {
-                    return;
+                    return self.drop_messages(messages.try_iter().count() as u64);
                 }
                 std::thread::sleep(TURN);
             }
         }
     }
-}
 
-fn is_disk_full(error: &RecordError) -> bool {
-    let mut cause: Option<&(dyn std::error::Error + 'static)> = Some(error);
-    while let Some(error) = cause {
-        if let Some(error) = error.downcast_ref::<std::io::Error>() {
-            return error.kind() == std::io::ErrorKind::StorageFull;
+    /// Writes until nobody can send any more.
+    fn keep(
+        &self,
+        mut ring: Ring,
+        messages: &Receiver<Recorded<Vec<u8>>>,
+        bound: &mut Bound,
+        now: impl Fn() -> Stamp,
+    ) -> Result<(), RecordError> {
+        loop {
+            let (done, is_last) = match messages.recv_timeout(TURN) {
+                Ok(message) => (ring.write(&Recorded { received: now(), ..message }), false),
+                Err(RecvTimeoutError::Timeout) => (ring.tick(now()), false),
+                Err(RecvTimeoutError::Disconnected) => (ring.finish(), true),
+            };
+            if let Err(error) = done {
+                self.drop_messages(ring.abandon());
+                return Err(error);
+            }
+            if let Some(error) = ring.take_trouble() {
+                tracing::error!(%error, "the on-board record is larger than it should be");
+            }
+            if is_last {
+                return Ok(());
+            }
+            if bound.grow(Instant::now()) {
+                ring.set_bytes_max(bound.now);
+            }
         }
-        cause = error.source();
     }
-    false
-}
 
-/// Writes until nobody can send any more.
-fn keep(
-    mut ring: Ring,
-    messages: &Receiver<Recorded<Vec<u8>>>,
-    now: impl Fn() -> Stamp,
-) -> Result<(), RecordError> {
-    loop {
-        match messages.recv_timeout(TURN) {
-            Ok(message) => ring.write(&Recorded { received: now(), ..message })?,
-            Err(RecvTimeoutError::Timeout) => ring.tick(now())?,
-            Err(RecvTimeoutError::Disconnected) => return ring.finish(),
-        }
+    fn drop_messages(&self, count: u64) {
+        self.counters.record_dropped.fetch_add(count, Ordering::Relaxed);
     }
 }
 
@@ -254,7 +297,10 @@ fn answer_all(questions: &Receiver<Query>, state: &State, published: Vec<Topic>)
             Err(error) => Err(error.to_string()),
             Ok(RecordRequest::Holdings) => {
                 let holdings = match state.get().0 {
-                    Kept::Yes => state.shelf.holdings(|topic| published.contains(&topic)),
+                    Kept::Yes => {
+                        reader.look_again();
+                        state.shelf.holdings(|topic| published.contains(&topic))
+                    }
                     kept => Holdings { kept, boots: vec![] },
                 };
                 encode_json("holdings", &holdings).map_err(|error| error.to_string())
@@ -282,5 +328,40 @@ fn answer_all(questions: &Receiver<Query>, state: &State, published: Vec<Topic>)
 fn refuse(query: &Query, reason: &str) {
     if let Err(error) = query.reply_err(reason).wait() {
         tracing::debug!(%error, "a question about the record could not be refused");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ring_that_a_full_disk_made_smaller_grows_again() {
+        let begun = Instant::now();
+        let mut bound = Bound::new(800_000_000, begun);
+        let mut at = begun;
+        assert!(!bound.grow(at + 2 * GROW_EVERY), "as large as it may be");
+        // Full for as long as others write.
+        let mut held = 800_000_000;
+        for _ in 0..100 {
+            at += RETRY_AFTER;
+            bound.shrink(held, at);
+            held = bound.now;
+        }
+        assert_eq!(bound.now, BYTES_MIN);
+        assert!(!bound.grow(at + GROW_EVERY / 2));
+        let mut steps = 0;
+        while bound.now < bound.configured {
+            at += GROW_EVERY;
+            assert!(bound.grow(at));
+            steps += 1;
+        }
+        assert!(bound.now == bound.configured && !bound.grow(at + GROW_EVERY) && steps < 100, "{steps}");
+        // A disk that is full while little is held.
+        bound.shrink(0, at);
+        assert_eq!(bound.now, BYTES_MIN);
+        let mut small = Bound::new(500_000, begun);
+        small.shrink(500_000, begun);
+        assert_eq!(small.now, 500_000);
     }
 }

@@ -24,9 +24,17 @@ pub(super) struct Peer {
     site: String,
     session: zenoh::Session,
     publishers: BTreeMap<Topic, Publisher<'static>>,
+    /// The boot that speaks.
+    boot: Option<Boot>,
+}
+
+struct Boot {
+    /// As it was recorded.
+    recorded: Option<BootId>,
+    /// Its new id.
+    id: BootId,
+    token: LivelinessToken,
     record: Queryable<()>,
-    /// The boot that speaks: as it was recorded, its new id, and its token.
-    boot: Option<(Option<BootId>, BootId, LivelinessToken)>,
 }
 
 impl Peer {
@@ -50,8 +58,13 @@ impl Peer {
                 .map_err(|error| LinkError::Declare { key, reason: link::reason(&error) })?;
             publishers.insert(topic, publisher);
         }
-        let key = record_key(site, id);
-        let record = session
+        Ok(Self { id: id.clone(), site: site.clone(), session, publishers, boot: None })
+    }
+
+    /// Says for a boot that it has no record of its own.
+    async fn declare_record(&self, boot: BootId) -> Result<Queryable<()>, LinkError> {
+        let key = record_key(&self.site, &self.id, boot);
+        self.session
             .declare_queryable(key.clone())
             .callback(|query| {
                 let payload = query.payload().map(|payload| payload.to_bytes()).unwrap_or_default();
@@ -69,8 +82,7 @@ impl Peer {
                 }
             })
             .await
-            .map_err(|error| LinkError::Declare { key, reason: link::reason(&error) })?;
-        Ok(Self { id: id.clone(), site: site.clone(), session, publishers, record, boot: None })
+            .map_err(|error| LinkError::Declare { key, reason: link::reason(&error) })
     }
 
     /// Waits until somebody listens.
@@ -90,7 +102,7 @@ impl Peer {
     pub(super) async fn say(&mut self, message: Recorded<Vec<u8>>) -> Result<(), LinkError> {
         let Recorded { topic, boot: recorded, sequence, sent, mut payload, .. } = message;
         let boot = match &self.boot {
-            Some((of, boot, _)) if *of == recorded => *boot,
+            Some(boot) if boot.recorded == recorded => boot.id,
             _ => self.begin_boot(recorded).await?,
         };
         if let (true, Some(recorded)) = (topic.is_json(), recorded) {
@@ -108,29 +120,29 @@ impl Peer {
 
     async fn begin_boot(&mut self, recorded: Option<BootId>) -> Result<BootId, LinkError> {
         self.end_boot().await;
-        let boot = BootId(random());
-        let key = alive_key(&self.site, &self.id, boot);
+        let id = BootId(random());
+        let record = self.declare_record(id).await?;
+        let key = alive_key(&self.site, &self.id, id);
         let token = self.session.liveliness().declare_token(key.clone()).await;
         let token = token.map_err(|error| LinkError::Declare { key, reason: link::reason(&error) })?;
-        self.boot = Some((recorded, boot, token));
-        Ok(boot)
+        self.boot = Some(Boot { recorded, id, token, record });
+        Ok(id)
     }
 
     /// The machine is off until it speaks again.
     pub(super) async fn end_boot(&mut self) {
-        if let Some((_, _, token)) = self.boot.take()
-            && let Err(error) = token.undeclare().await
-        {
+        let Some(Boot { token, record, .. }) = self.boot.take() else { return };
+        if let Err(error) = token.undeclare().await {
             tracing::warn!(%error, "the liveliness token could not be taken back");
+        }
+        if let Err(error) = record.undeclare().await {
+            tracing::warn!(%error, "the queryable of the record could not be taken back");
         }
     }
 
     /// Takes everything back.
     pub(super) async fn close(mut self) {
         self.end_boot().await;
-        if let Err(error) = self.record.undeclare().await {
-            tracing::warn!(%error, "the queryable of the record could not be taken back");
-        }
         drop(self.publishers);
         link::close(self.session).await;
     }

@@ -7,6 +7,7 @@ use mcap::records::{MessageHeader, Record};
 
 use super::gather::gather;
 use super::index::Index;
+use super::ranges::{Ranges, widen_near};
 use super::recover::{file_end, inspect};
 use super::scan::Scanner;
 use super::{BOOT, RecordError, Summary, parse_channel_name};
@@ -103,14 +104,12 @@ impl Checker {
 
     /// What is missing so far. Messages may come in any order, and from any of the files.
     pub fn missing(&self) -> Vec<Missing> {
-        let streams = self.streams.iter().filter(|(_, counted)| counted.runs.len() > 1);
-        streams
-            .map(|(stream, counted)| {
-                let ends = counted.runs.iter().zip(counted.runs.iter().skip(1));
-                let messages = ends.map(|((_, end), (next, _))| (next - end) as u64).sum();
-                Missing { stream: stream.clone(), messages, gaps: counted.runs.len() as u64 - 1 }
-            })
-            .collect()
+        let missing = self.streams.iter().filter_map(|(stream, Counted { numbers, .. })| {
+            let gaps = numbers.missing_in(numbers.iter().next()?.start..numbers.end());
+            let (messages, gaps) = (gaps.count(), gaps.iter().count() as u64);
+            (gaps > 0).then(|| Missing { stream: stream.clone(), messages, gaps })
+        });
+        missing.collect()
     }
 
     /// The streams with messages that are there more than once, and how many. Where boots are not told, a
@@ -132,31 +131,20 @@ fn stream(index: &Index, channel_id: u16) -> Option<Stream> {
 /// Which numbers of a stream are there.
 #[derive(Debug, Default)]
 struct Counted {
-    /// Where each run begins, and the number after its last.
-    runs: BTreeMap<i64, i64>,
-    last: Option<i64>,
+    /// From [`Counted::ORIGIN`] on: the first message of a file may be one that came before others.
+    numbers: Ranges,
+    last: Option<u64>,
     repeated: u64,
 }
 
 impl Counted {
+    const ORIGIN: u64 = 1 << 32;
+
     /// The file has the lower 32 bits of a number; the rest is as near as can be to the number before.
     fn add(&mut self, lower: u32) {
-        let number = match self.last {
-            None => i64::from(lower),
-            Some(last) => last + i64::from(lower.wrapping_sub(last as u32) as i32),
-        };
+        let number = widen_near(lower, self.last.unwrap_or(Self::ORIGIN + u64::from(lower)));
         self.last = Some(number);
-        let before = self.runs.range(..=number).next_back().map(|(begin, end)| (*begin, *end));
-        let begin = match before {
-            Some((_, end)) if end > number => {
-                self.repeated += 1;
-                return;
-            }
-            Some((begin, end)) if end == number => begin,
-            _ => number,
-        };
-        let end = self.runs.remove(&(number + 1)).unwrap_or(number + 1);
-        self.runs.insert(begin, end);
+        self.repeated += u64::from(!self.numbers.insert(number));
     }
 }
 
@@ -201,7 +189,9 @@ mod tests {
     fn counted(numbers: &[u32]) -> (Vec<(i64, i64)>, u64) {
         let mut counted = Counted::default();
         numbers.iter().for_each(|number| counted.add(*number));
-        (counted.runs.into_iter().collect(), counted.repeated)
+        let place = |number: u64| number as i64 - Counted::ORIGIN as i64;
+        let runs = counted.numbers.iter().map(|range| (place(range.start), place(range.end)));
+        (runs.collect(), counted.repeated)
     }
 
     #[test]
@@ -215,5 +205,6 @@ mod tests {
             counted(&[u32::MAX - 1, u32::MAX, 0, 2]),
             (vec![(end - 1, end + 2), (end + 3, end + 4)], 0)
         );
+        assert_eq!(counted(&[1, u32::MAX, 0]), (vec![(-1, 2)], 0), "it had begun before");
     }
 }

@@ -19,22 +19,14 @@ pub struct BootRun {
     pub gap: Option<String>,
 }
 
-/// The boots of `machine` in a recording of which there is a journal, oldest first.
+/// The boots of `machine` in a recording of one or more files of which there is a journal, oldest first.
 ///
 /// The order of the readings is that of the journal. What the journal does not tell of, such as the last readings
 /// before a power cut, is left out.
 ///
 /// # Errors
-/// [`RecordError`] if the file cannot be read or is no MCAP file.
-pub fn read_live_runs(path: &Path, machine: &str) -> Result<Vec<BootRun>, RecordError> {
-    read_live_runs_of([path], machine)
-}
-
-/// The same for a recording in several files.
-///
-/// # Errors
 /// [`RecordError`] if a file cannot be read or is no MCAP file.
-pub fn read_live_runs_of<'a>(
+pub fn read_live_runs<'a>(
     paths: impl IntoIterator<Item = &'a Path>,
     machine: &str,
 ) -> Result<Vec<BootRun>, RecordError> {

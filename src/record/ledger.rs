@@ -10,6 +10,7 @@ use std::ops::Range;
 use serde::{Deserialize, Serialize};
 
 use super::Ranges;
+use super::ranges::widen_near;
 use crate::wire::{BootId, HeldBoot, Holdings, Kept, Topic, Wanted};
 
 /// So many boots of a machine are remembered; of those that it still holds, all.
@@ -23,9 +24,9 @@ pub enum GapCause {
     Overwritten,
     /// The machine's configuration has no on-board record.
     NotKept,
-    /// They did not reach the on-board record: its disk did not keep up, or power failed.
+    /// They are not in the on-board record, and were not: its disk did not keep up, or power failed.
     NotOnBoard,
-    /// The machine did not answer until the recording ended. They are fetched if it ever comes back.
+    /// The machine did not answer until the session ended. They are fetched if it ever comes back.
     Unreachable,
 }
 
@@ -42,7 +43,7 @@ impl GapCause {
 }
 
 /// Messages that are missing, and why.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Gap {
     /// Whose.
     pub machine: String,
@@ -89,6 +90,9 @@ pub struct GapCounts {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Ledger {
     machines: BTreeMap<String, Book>,
+    /// Lost for good, and no recording tells of it so far.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    untold: Vec<Gap>,
     /// Streams with something that is not on the disk.
     #[serde(skip)]
     unsynced: BTreeSet<(String, BootId, Topic)>,
@@ -96,12 +100,18 @@ pub struct Ledger {
 
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 struct Book {
-    /// Oldest first.
+    /// Oldest first, as far as the machine tells.
     order: Vec<BootId>,
     boots: BTreeMap<BootId, BTreeMap<Topic, Stream>>,
+    /// Those of which the machine held something when it was asked.
+    #[serde(default)]
+    held: BTreeSet<BootId>,
     /// When the machine was first met it may have worked for days: what came before is no gap.
     met_in: Option<BootId>,
     filled: u64,
+    /// Of boots that are forgotten.
+    #[serde(default)]
+    lost_before: u64,
 }
 
 /// One topic of one boot.
@@ -114,6 +124,9 @@ struct Stream {
     had: Ranges,
     #[serde(default, skip_serializing_if = "Ranges::is_empty")]
     lost: Ranges,
+    /// Missing, and a session that has ended says so.
+    #[serde(default, skip_serializing_if = "Ranges::is_empty")]
+    told: Ranges,
     /// Written, but perhaps not on the disk.
     #[serde(skip)]
     unsynced: Ranges,
@@ -150,17 +163,17 @@ impl Book {
         self.boots.entry(boot).or_default().entry(topic).or_insert_with(fresh)
     }
 
+    /// Forgets the oldest of those that the machine does not hold any more.
     fn forget_old_boots(&mut self, held: &[HeldBoot]) {
-        let mut spare = self.order.len().saturating_sub(BOOTS_MAX);
-        let boots = &mut self.boots;
-        self.order.retain(|boot| {
-            let goes = spare > 0 && held.iter().all(|held| held.boot != *boot);
-            if goes {
-                spare -= 1;
-                boots.remove(boot);
-            }
-            !goes
-        });
+        let spare = self.order.len().saturating_sub(BOOTS_MAX);
+        let gone = |boot: &&BootId| held.iter().all(|held| held.boot != **boot);
+        let goes: Vec<BootId> = self.order.iter().filter(gone).take(spare).copied().collect();
+        for boot in &goes {
+            let topics = self.boots.remove(boot).unwrap_or_default();
+            self.lost_before += topics.values().map(|stream| stream.lost.count()).sum::<u64>();
+            self.held.remove(boot);
+        }
+        self.order.retain(|boot| !goes.contains(boot));
     }
 }
 
@@ -232,9 +245,7 @@ impl Ledger {
     /// A message is in a file on the disk, which keeps the lower 32 bits of its number.
     pub fn found(&mut self, machine: &str, boot: BootId, topic: Topic, lower: u32) {
         let stream = self.stream(machine, boot, topic, u64::from(lower));
-        let near = stream.had.end().saturating_sub(1);
-        let number = near.wrapping_add_signed(i64::from(lower.wrapping_sub(near as u32) as i32));
-        stream.had.insert(number);
+        stream.had.insert(widen_near(lower, stream.had.end().saturating_sub(1)));
     }
 
     /// A message is not wanted in any recording, such as while nobody wants to record.
@@ -259,15 +270,10 @@ impl Ledger {
         }
     }
 
-    /// The machines that were ever met.
-    pub fn machines(&self) -> impl Iterator<Item = &str> {
-        self.machines.keys().map(String::as_str)
-    }
-
     /// How much is missing between a machine's messages.
     pub fn counts(&self, machine: &str) -> GapCounts {
         let Some(book) = self.machines.get(machine) else { return GapCounts::default() };
-        let mut counts = GapCounts { filled: book.filled, ..GapCounts::default() };
+        let mut counts = GapCounts { filled: book.filled, lost: book.lost_before, open: 0 };
         for stream in book.boots.values().flat_map(BTreeMap::values) {
             counts.open += stream.holes().count();
             counts.lost += stream.lost.count();
@@ -275,7 +281,8 @@ impl Ledger {
         counts
     }
 
-    /// The gaps that nobody could fill so far.
+    /// The gaps that nobody could fill so far, and of which no session tells: one that ends does, and says so by
+    /// [`Ledger::open_gaps_were_told`].
     pub fn open_gaps(&self) -> Vec<Gap> {
         let mut gaps = Vec::new();
         for (machine, book) in &self.machines {
@@ -285,11 +292,30 @@ impl Ledger {
                         let machine = machine.clone();
                         Gap { machine, boot: *boot, topic: *topic, range, cause: GapCause::Unreachable }
                     };
-                    gaps.extend(stream.holes().iter().map(gap));
+                    gaps.extend(stream.holes().without(&stream.told).iter().map(gap));
                 }
             }
         }
         gaps
+    }
+
+    /// A session that is on the disk tells of the gaps that are open now.
+    pub fn open_gaps_were_told(&mut self) {
+        let books = self.machines.values_mut();
+        for stream in books.flat_map(|book| book.boots.values_mut()).flat_map(BTreeMap::values_mut) {
+            stream.told = stream.holes();
+        }
+    }
+
+    /// What is lost for good and not told in any recording: to be written, and synced, and then
+    /// [`Ledger::were_told`].
+    pub fn untold(&self) -> &[Gap] {
+        &self.untold
+    }
+
+    /// The first so many of the untold gaps are told in a recording that is on the disk.
+    pub fn were_told(&mut self, count: usize) {
+        self.untold.drain(..count.min(self.untold.len()));
     }
 
     /// Gives up what of these is still missing.
@@ -301,11 +327,36 @@ impl Ledger {
         numbers: &Ranges,
         cause: GapCause,
     ) -> Vec<Gap> {
+        if numbers.is_empty() {
+            return Vec::new();
+        }
         let stream = self.stream(machine, boot, topic, 0);
         let numbers = numbers.without(&stream.settled());
         stream.lost.extend(&numbers);
         let gap = |range| Gap { machine: machine.to_owned(), boot, topic, range, cause };
-        numbers.iter().map(gap).collect()
+        let gaps: Vec<Gap> = numbers.iter().map(gap).collect();
+        self.untold.extend_from_slice(&gaps);
+        gaps
+    }
+
+    /// These were asked for, and are not in the answer. `holdings` is what the machine holds after that: what it
+    /// does not have then is lost.
+    pub fn not_there(
+        &mut self,
+        machine: &str,
+        boot: BootId,
+        numbers: &BTreeMap<Topic, Ranges>,
+        holdings: &Holdings,
+    ) -> Vec<Gap> {
+        let mut gaps = Vec::new();
+        // A boot that is gone as a whole is found to be when plans are made.
+        let Some(held) = of_boot(holdings, boot).filter(|held| !held.unread) else { return gaps };
+        for (topic, numbers) in numbers {
+            for (numbers, cause) in by_cause(held, *topic, numbers) {
+                gaps.extend(self.lose(machine, boot, *topic, &numbers, cause));
+            }
+        }
+        gaps
     }
 
     /// What to fetch of what a machine holds. `before` is what it held some seconds ago: the last messages of the
@@ -319,6 +370,7 @@ impl Ledger {
             return plan;
         }
         book.meet(holdings);
+        let nothing_is_overwritten = holdings.boots.iter().all(|held| held.overwritten.is_empty());
         if holdings.kept == Kept::Yes {
             for held in &holdings.boots {
                 let earlier = before.and_then(|before| of_boot(before, held.boot));
@@ -334,14 +386,21 @@ impl Ledger {
             if !gone {
                 continue;
             }
-            let cause = if holdings.kept == Kept::No { GapCause::NotKept } else { GapCause::Overwritten };
+            let cause = match holdings.kept {
+                Kept::No => GapCause::NotKept,
+                // Such as the last second before a power cut, if it was the first one, too.
+                _ if !book.held.contains(boot) && nothing_is_overwritten => GapCause::NotOnBoard,
+                _ => GapCause::Overwritten,
+            };
             for (topic, stream) in topics {
                 lost.push((*boot, *topic, stream.holes(), cause));
             }
         }
-        book.forget_old_boots(&holdings.boots);
         for (boot, topic, numbers, cause) in lost {
             plan.lost.extend(self.lose(machine, boot, topic, &numbers, cause));
+        }
+        if let Some(book) = self.machines.get_mut(machine) {
+            book.forget_old_boots(&holdings.boots);
         }
         plan
     }
@@ -358,20 +417,36 @@ fn of_boot(holdings: &Holdings, boot: BootId) -> Option<&HeldBoot> {
     holdings.boots.iter().find(|held| held.boot == boot)
 }
 
+/// Numbers that a machine does not have, by why it does not.
+fn by_cause(held: &HeldBoot, topic: Topic, numbers: &Ranges) -> [(Ranges, GapCause); 2] {
+    let end = held.overwritten.get(&topic).copied().unwrap_or(0);
+    let overwritten = Ranges::from(vec![(0, end)]);
+    let never = numbers.without(&overwritten);
+    [(numbers.without(&never), GapCause::Overwritten), (never, GapCause::NotOnBoard)]
+}
+
 impl Book {
-    /// What boots before the one in which the machine was met have lost is no gap.
+    /// What boots before the one in which the machine was met have lost is no gap, nor is what that one has lost
+    /// before.
     fn meet(&mut self, holdings: &Holdings) {
         let Some(newest) = holdings.boots.last() else { return };
         let met_in = *self.met_in.get_or_insert(newest.boot);
-        let Some(met_at) = holdings.boots.iter().position(|held| held.boot == met_in) else { return };
-        for held in &holdings.boots[..met_at] {
+        let met_at = holdings.boots.iter().position(|held| held.boot == met_in);
+        for held in &holdings.boots[..met_at.map_or(0, |place| place + 1)] {
             for (topic, [first, _]) in &held.topics {
-                let stream = self.stream(held.boot, *topic, 0);
-                if *stream == Stream::default() {
-                    stream.base = *first;
+                let is_known = self.boots.get(&held.boot).is_some_and(|topics| topics.contains_key(topic));
+                if !is_known {
+                    self.stream(held.boot, *topic, 0).base = *first;
                 }
             }
         }
+        let told = holdings.boots.iter().filter(|held| !held.topics.is_empty()).map(|held| held.boot);
+        self.held.extend(told);
+        // The machine knows which boot was before which. Others are older, or never were on its disk.
+        let (known, others): (Vec<BootId>, Vec<BootId>) =
+            self.order.iter().partition(|boot| of_boot(holdings, **boot).is_some());
+        let in_order = holdings.boots.iter().map(|held| held.boot).filter(|boot| known.contains(boot));
+        self.order = others.into_iter().chain(in_order).collect();
     }
 
     /// What to fetch of a boot, and what of it is no longer there.
@@ -389,7 +464,8 @@ impl Book {
             let settled = ours.get(topic).map(Stream::settled).unwrap_or_default();
             let (first, held_end) = (*first, last.saturating_add(1));
             // The newest messages are on their way by themselves.
-            let earlier_end = earlier.and_then(|earlier| earlier.topics.get(topic)).map(|[_, last]| last + 1);
+            let earlier_end =
+                earlier.and_then(|earlier| earlier.topics.get(topic)).map(|[_, last]| last.saturating_add(1));
             let end = match held.current {
                 true => held_end.min(settled.end().max(earlier_end.unwrap_or(0))),
                 false => held_end,
@@ -398,15 +474,20 @@ impl Book {
             if !missing.is_empty() {
                 wanted.insert(*topic, missing.iter().map(|range| [range.start, range.end - 1]).collect());
             }
-            let base = ours.get(topic).map_or(0, |stream| stream.base);
-            lost.push((boot, *topic, settled.missing_in(base..first), GapCause::Overwritten));
-            if !held.current {
-                lost.push((boot, *topic, settled.missing_in(held_end..settled.end()), GapCause::NotOnBoard));
+            if held.unread {
+                continue;
             }
+            let base = ours.get(topic).map_or(0, |stream| stream.base);
+            let mut gone = settled.missing_in(base..first);
+            if !held.current {
+                gone.extend(&settled.missing_in(held_end..settled.end()));
+            }
+            lost.extend(by_cause(held, *topic, &gone).map(|(numbers, cause)| (boot, *topic, numbers, cause)));
         }
-        if !held.current {
+        if !held.current && !held.unread {
             for (topic, stream) in ours.iter().filter(|(topic, _)| !held.topics.contains_key(topic)) {
-                lost.push((boot, *topic, stream.holes(), GapCause::Overwritten));
+                let gone = by_cause(held, *topic, &stream.holes());
+                lost.extend(gone.map(|(numbers, cause)| (boot, *topic, numbers, cause)));
             }
         }
         wanted

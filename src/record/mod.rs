@@ -29,6 +29,7 @@ mod ring;
 mod scan;
 mod write;
 
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -36,11 +37,12 @@ use serde::{Deserialize, Serialize};
 use crate::time::Stamp;
 use crate::wire::{BootId, Topic};
 
+pub use self::ring::{FILE_BYTES, Ring, RingOptions, RingReader, Shelf};
 pub use any::{AnyMessage, AnyMessages, Channel, channels, library, metadata, read_any};
 pub use boots::{Published, RecordedBoot, Step};
 pub use check::{Checked, Checker, Missing, Stream};
 pub use files::files_of;
-pub use journal::{BootRun, read_live_runs, read_live_runs_of};
+pub use journal::{BootRun, read_live_runs};
 pub use ledger::{Gap, GapCause, GapCounts, Ledger, Plan};
 pub use merge::{Piece, merge};
 pub use order::{Said, read_in_order, read_said};
@@ -48,12 +50,15 @@ pub use places::Places;
 pub use ranges::Ranges;
 pub use read::{Arrivals, Messages, machines, read_arrivals, read_arrivals_showing, read_messages};
 pub use recover::{inspect, recover};
-pub use ring::{FILE_BYTES, Ring, RingOptions, RingReader, Shelf};
 pub use write::{ChannelBook, RecordWriter, SYNC_EVERY};
 
 /// Name of the metadata record that tells of the site: `id`, `name`, and the origin of the site frame as
 /// `latitude_deg`, `longitude_deg`, `altitude_m`.
 pub const SITE: &str = "holdfast.site";
+/// Name of the metadata record that says which file of which session it is in: `id`, `file`.
+pub const SESSION: &str = "holdfast.session";
+/// Name of the metadata record that says whose boot has messages in the file: `machine`, `boot`.
+pub const BOOT_SEEN: &str = "holdfast.boot";
 /// Name of the metadata record that says how a file was recovered.
 const RECOVERY: &str = "holdfast.recovery";
 /// Name of the metadata record that says whose an on-board record is, and how the machine was configured.
@@ -206,6 +211,16 @@ impl RecordError {
             _ => None,
         }
     }
+
+    /// Whether there is no room.
+    pub fn is_disk_full(&self) -> bool {
+        self.system().is_some_and(says_full)
+    }
+}
+
+/// Whether the system says that there is no room.
+pub fn says_full(error: &std::io::Error) -> bool {
+    matches!(error.kind(), ErrorKind::StorageFull | ErrorKind::QuotaExceeded | ErrorKind::FileTooLarge)
 }
 
 fn file_error<'a>(path: &'a Path, what: &'static str) -> impl Fn(std::io::Error) -> RecordError + 'a {
@@ -222,8 +237,15 @@ fn sync_folder_of(path: &Path) -> Result<(), RecordError> {
         Some(folder) if !folder.as_os_str().is_empty() => folder,
         _ => Path::new("."),
     };
-    let open = std::fs::File::open(folder).and_then(|folder| folder.sync_all());
-    open.map_err(file_error(folder, "cannot be synced"))
+    sync_folder(folder).map_err(file_error(folder, "cannot be synced"))
+}
+
+/// Makes new and renamed entries of a folder survive a power cut.
+///
+/// # Errors
+/// What the system says.
+pub fn sync_folder(folder: &Path) -> std::io::Result<()> {
+    std::fs::File::open(folder)?.sync_all()
 }
 
 fn channel_name(machine: &str, topic: Topic) -> String {

@@ -83,15 +83,6 @@ impl Ranges {
         left
     }
 
-    /// What is there of `range`.
-    pub fn within(&self, range: Range<u64>) -> Ranges {
-        let mut within = Ranges::default();
-        for part in self.iter() {
-            within.insert_range(part.start.max(range.start)..part.end.min(range.end));
-        }
-        within
-    }
-
     /// How many numbers.
     pub fn count(&self) -> u64 {
         self.iter().map(|range| range.end - range.start).sum()
@@ -106,16 +97,17 @@ impl Ranges {
     pub fn end(&self) -> u64 {
         self.ends.last_key_value().map_or(0, |(_, end)| *end)
     }
+}
 
-    /// The first number.
-    pub fn first(&self) -> Option<u64> {
-        self.ends.first_key_value().map(|(start, _)| *start)
-    }
+/// The number with this lower half that is nearest to `near`: files keep 32 bits of a number.
+pub(super) fn widen_near(lower: u32, near: u64) -> u64 {
+    let ahead = i64::from(lower.wrapping_sub(near as u32) as i32);
+    near.checked_add_signed(ahead).unwrap_or(u64::from(lower))
+}
 
-    /// Forgets all.
-    pub fn clear(&mut self) {
-        self.ends.clear();
-    }
+/// The first number with this lower half that is not below `least`.
+pub(super) fn widen_from(lower: u32, least: u64) -> u64 {
+    least + u64::from(lower.wrapping_sub(least as u32))
 }
 
 impl From<Vec<(u64, u64)>> for Ranges {
@@ -153,9 +145,16 @@ mod tests {
         numbers.insert_range(6..20);
         assert_eq!((numbers.clone(), numbers.count(), numbers.end()), (set(&[(0, 20)]), 20, 20));
         assert_eq!(numbers.without(&set(&[(2, 4), (19, 30)])), set(&[(0, 2), (4, 19)]));
-        assert_eq!(numbers.within(15..100), set(&[(15, 20)]));
         numbers.insert_range(9..9);
         assert!(numbers.insert(u64::MAX - 1) && numbers.contains(u64::MAX - 1));
+    }
+
+    #[test]
+    fn lower_halves_are_widened() {
+        let far = 1_u64 << 32;
+        assert_eq!((widen_near(3, 5), widen_near(5, 3), widen_near(3, far - 2)), (3, 5, far + 3));
+        assert_eq!((widen_near(u32::MAX, far + 1), widen_near(u32::MAX, 1)), (far - 1, far - 1));
+        assert_eq!((widen_from(5, 5), widen_from(4, 5), widen_from(7, 3 * far)), (5, far + 4, 3 * far + 7));
     }
 
     #[test]

@@ -10,20 +10,17 @@
 
 use std::collections::{BTreeMap, VecDeque};
 use std::fs::File;
-use std::path::{Path, PathBuf};
+use std::io::ErrorKind;
+use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use mcap::records::{Metadata, Record};
-
-use super::recover::file_end;
-use super::scan::Scanner;
-use super::{ChannelBook, RecordError, RecordWriter, Recorded, file_error, inspect, recover};
+use super::{ChannelBook, RecordError, RecordWriter, Recorded, file_error};
 use crate::time::{Span, Stamp};
 use crate::wire::{BootId, HeldBoot, Holdings, Kept, Topic};
 
+mod files;
 mod reader;
 
-use reader::Contents;
 pub use reader::RingReader;
 
 /// A file that is longer is followed by another one.
@@ -41,6 +38,8 @@ const HELD: &str = "holdfast.held";
 
 /// First and last number of each topic in a file.
 type Runs = BTreeMap<Topic, (u64, u64)>;
+/// A number of each topic.
+type Numbers = BTreeMap<Topic, u64>;
 
 /// Where a ring is, whose, and how large.
 #[derive(Clone, Debug)]
@@ -63,10 +62,12 @@ pub struct Ring {
     shelf: Shelf,
     writer: Option<RecordWriter>,
     opened: Stamp,
-    /// Written since the last sync.
+    /// Written since the last sync, and how many messages that are.
     unsynced: Runs,
-    next: BTreeMap<Topic, u64>,
+    unsynced_messages: u64,
+    next: Numbers,
     number: u64,
+    trouble: Option<RecordError>,
     /// Held as long as the ring is written.
     _lock: File,
 }
@@ -79,10 +80,12 @@ pub struct Shelf(Arc<Mutex<Shelved>>);
 struct Shelved {
     /// Oldest first.
     files: VecDeque<HeldFile>,
+    /// Those that are overwritten, but could not be deleted so far: nobody is told of them, but they take room.
+    stuck: Vec<HeldFile>,
     /// The boot that is being written.
     current: Option<BootId>,
     /// Of the current boot: the number after the last one on the disk.
-    ends: BTreeMap<Topic, u64>,
+    ends: Numbers,
 }
 
 #[derive(Clone, Debug)]
@@ -91,6 +94,10 @@ struct HeldFile {
     path: PathBuf,
     boot: BootId,
     runs: Runs,
+    /// What was counted before it.
+    counted_from: Numbers,
+    /// False if it cannot be read now: there may be more in it than is known.
+    is_read: bool,
     /// So much of it is on the disk.
     bytes: u64,
 }
@@ -107,14 +114,22 @@ impl Shelf {
         for file in &shelved.files {
             if boots.last().is_none_or(|last| last.boot != file.boot) {
                 let current = shelved.current == Some(file.boot);
-                boots.push(HeldBoot { boot: file.boot, current, topics: BTreeMap::new() });
+                let counted = file.counted_from.iter().filter(|(topic, count)| told(**topic) && **count > 0);
+                boots.push(HeldBoot {
+                    boot: file.boot,
+                    current,
+                    topics: BTreeMap::new(),
+                    overwritten: counted.map(|(topic, count)| (*topic, *count)).collect(),
+                    unread: false,
+                });
             }
             let Some(held) = boots.last_mut() else { continue };
+            held.unread |= !file.is_read;
             for (topic, (first, last)) in file.runs.iter().filter(|(topic, _)| told(**topic)) {
                 held.topics.entry(*topic).and_modify(|run| run[1] = *last).or_insert([*first, *last]);
             }
         }
-        boots.retain(|held| held.current || !held.topics.is_empty());
+        boots.retain(|held| held.current || held.unread || !held.topics.is_empty());
         if let Some(held) = boots.last_mut().filter(|held| held.current) {
             // All that was of a topic may have been overwritten: nothing is held up to its end.
             for (topic, end) in shelved.ends.iter().filter(|(topic, end)| told(**topic) && **end > 0) {
@@ -128,12 +143,18 @@ impl Shelf {
 
     /// Bytes on the disk.
     pub fn bytes(&self) -> u64 {
-        self.lock().files.iter().map(|file| file.bytes).sum()
+        self.lock().bytes()
     }
 
     /// Someone who reads what is held.
     pub fn reader(&self) -> RingReader {
         RingReader::new(self.clone())
+    }
+}
+
+impl Shelved {
+    fn bytes(&self) -> u64 {
+        self.files.iter().chain(&self.stuck).map(|file| file.bytes).sum()
     }
 }
 
@@ -149,25 +170,34 @@ impl Ring {
         let in_use = file_error(&lock_path, "cannot be locked");
         let lock = File::options().create(true).append(true).open(&lock_path).map_err(&in_use)?;
         lock.try_lock().map_err(|error| in_use(error.into()))?;
-        let mut files = read_files(&options)?;
-        files.sort_by_key(|file| file.number);
-        let number = files.last().map_or(0, |last| last.number + 1);
-        {
+        let (files, number) = files::read(&options)?;
+        let next = {
             let mut shelved = shelf.lock();
-            let own = files.iter().filter(|file| file.boot == options.boot);
-            shelved.ends = own.flat_map(|file| &file.runs).map(|(topic, run)| (*topic, run.1 + 1)).collect();
+            if shelved.current != Some(options.boot) {
+                shelved.ends.clear();
+            }
+            // What this run has written itself it knows, whether it can be read now or not.
+            for (topic, (_, last)) in
+                files.iter().filter(|file| file.boot == options.boot).flat_map(|file| &file.runs)
+            {
+                let end = shelved.ends.entry(*topic).or_insert(0);
+                *end = (*end).max(last + 1);
+            }
             shelved.files = files.into();
+            shelved.stuck.clear();
             shelved.current = Some(options.boot);
-        }
-        let next = shelf.lock().ends.clone();
+            shelved.ends.clone()
+        };
         let mut ring = Self {
             options,
             shelf,
             writer: None,
             opened: now,
             unsynced: Runs::new(),
+            unsynced_messages: 0,
             next,
             number,
+            trouble: None,
             _lock: lock,
         };
         // Before anything is written: the disk may be full.
@@ -179,12 +209,13 @@ impl Ring {
     /// Adds a message of the options' boot; `message.received` is taken for now.
     ///
     /// # Errors
-    /// [`RecordError`] if the disk refuses. After that the ring is of no use: open it again.
+    /// [`RecordError`] if the disk refuses. After that the ring is of no use: abandon it, and open it again.
     pub fn write<P: AsRef<[u8]>>(&mut self, message: &Recorded<P>) -> Result<(), RecordError> {
         let now = message.received;
         let Some(writer) = &mut self.writer else { return Ok(()) };
         let run = self.unsynced.entry(message.topic).or_insert((message.sequence, message.sequence));
         run.1 = message.sequence;
+        self.unsynced_messages += 1;
         self.next.insert(message.topic, message.sequence + 1);
         writer.write(message)?;
         self.settle(now)
@@ -200,14 +231,32 @@ impl Ring {
         self.settle(now)
     }
 
-    /// Closes the file.
+    /// Closes the file; after that nothing is written any more.
     ///
     /// # Errors
     /// [`RecordError`] if it cannot be written; it is recovered at the next start then.
-    pub fn finish(mut self) -> Result<(), RecordError> {
+    pub fn finish(&mut self) -> Result<(), RecordError> {
         self.close_file()?;
         self.delete_oldest();
         Ok(())
+    }
+
+    /// Gives up after a failure. Says how many messages were written, and may not be on the disk.
+    pub fn abandon(self) -> u64 {
+        if let Some(writer) = self.writer {
+            writer.abandon();
+        }
+        self.unsynced_messages
+    }
+
+    /// Bounds the files to so many bytes from now on.
+    pub fn set_bytes_max(&mut self, bytes_max: u64) {
+        self.options.bytes_max = bytes_max;
+    }
+
+    /// What went wrong beside the writing, if something did since the last time.
+    pub fn take_trouble(&mut self) -> Option<RecordError> {
+        self.trouble.take()
     }
 
     /// After each step: tells what has reached the disk, goes on to the next file, and deletes the oldest.
@@ -233,6 +282,7 @@ impl Ring {
     fn shelve(&mut self, bytes: u64) {
         let mut shelved = self.shelf.lock();
         let unsynced = std::mem::take(&mut self.unsynced);
+        self.unsynced_messages = 0;
         shelved.ends.extend(unsynced.iter().map(|(topic, run)| (*topic, run.1 + 1)));
         if let Some(file) = shelved.files.back_mut() {
             file.bytes = bytes;
@@ -252,7 +302,9 @@ impl Ring {
         let numbers = self.next.iter().map(|(topic, next)| (topic.name().to_owned(), next.to_string()));
         writer.write_metadata(COUNTED_FROM, numbers.collect())?;
         let bytes = writer.bytes()?;
-        let file = HeldFile { number: self.number, path, boot, runs: Runs::new(), bytes };
+        let counted_from = self.next.clone();
+        let (number, runs) = (self.number, Runs::new());
+        let file = HeldFile { number, path, boot, runs, counted_from, is_read: true, bytes };
         self.shelf.lock().files.push_back(file);
         self.writer = Some(writer);
         self.opened = now;
@@ -262,7 +314,10 @@ impl Ring {
 
     fn close_file(&mut self) -> Result<(), RecordError> {
         let Some(mut writer) = self.writer.take() else { return Ok(()) };
-        writer.sync()?;
+        if let Err(error) = writer.sync() {
+            writer.abandon();
+            return Err(error);
+        }
         self.shelve(writer.bytes()?);
         let runs = self.shelf.lock().files.back().map(|file| file.runs.clone()).unwrap_or_default();
         let told =
@@ -275,78 +330,34 @@ impl Ring {
         Ok(())
     }
 
-    /// Keeps the bound; the file that is written stays.
+    /// Keeps the bound; the file that is written stays. What cannot be deleted is tried again each time.
     fn delete_oldest(&mut self) {
+        let mut stuck = std::mem::take(&mut self.shelf.lock().stuck);
+        stuck.retain(|file| delete(file).is_err());
+        self.shelf.lock().stuck = stuck;
         loop {
             let mut shelved = self.shelf.lock();
-            let bytes: u64 = shelved.files.iter().map(|file| file.bytes).sum();
             let kept = usize::from(self.writer.is_some());
-            if bytes <= self.options.bytes_max || shelved.files.len() <= kept {
+            if shelved.bytes() <= self.options.bytes_max || shelved.files.len() <= kept {
                 return;
             }
             let Some(oldest) = shelved.files.pop_front() else { return };
             drop(shelved);
-            // If it cannot be deleted it is found again at the next start.
-            let _ = std::fs::remove_file(&oldest.path);
-        }
-    }
-}
-
-/// The files of a folder, as far as they can be used; those that were torn are recovered.
-fn read_files(options: &RingOptions) -> Result<Vec<HeldFile>, RecordError> {
-    let folder = &options.folder;
-    let entries = std::fs::read_dir(folder).map_err(file_error(folder, "cannot be read"))?;
-    let mut files = Vec::new();
-    for entry in entries.flatten() {
-        let path = entry.path();
-        let name = entry.file_name().into_string().unwrap_or_default();
-        let parts = name.strip_suffix(".mcap").and_then(|name| name.split_once('-'));
-        let Some((number, boot)) = parts else { continue };
-        let (Ok(number), Ok(boot)) = (number.parse(), boot.parse()) else { continue };
-        // What cannot be read stays where it is, for somebody to look at; it holds nothing for us.
-        let Ok(summary) = recover(&path) else { continue };
-        let Ok(runs) = held_runs(&path, &options.machine) else { continue };
-        if summary.messages == 0 {
-            let _ = std::fs::remove_file(&path);
-            continue;
-        }
-        files.push(HeldFile { number, path, boot, runs, bytes: summary.bytes });
-    }
-    Ok(files)
-}
-
-/// First and last number of each topic: as the file says, or as is found by reading it.
-fn held_runs(path: &Path, machine: &str) -> Result<Runs, RecordError> {
-    inspect(path)?;
-    let mut scanner = Scanner::open(path)?;
-    let Some(end) = file_end(path)? else { return Err(RecordError::Unfinished { path: path.to_owned() }) };
-    scanner.seek(end.summary_start)?;
-    let mut at = None;
-    while let Some(records) = scanner.next_block()? {
-        for record in records {
-            if let Record::MetadataIndex(index) = record
-                && index.name == HELD
-            {
-                at = Some(index.offset);
+            if let Err(error) = delete(&oldest) {
+                self.trouble = Some(error);
+                self.shelf.lock().stuck.push(oldest);
             }
         }
     }
-    if let Some(at) = at {
-        scanner.seek(at)?;
-        for record in scanner.next_block()?.unwrap_or_default() {
-            if let Record::Metadata(Metadata { metadata, .. }) = record {
-                return Ok(metadata.iter().filter_map(|(topic, run)| run_of(topic, run)).collect());
-            }
-        }
-    }
-    let mut contents = Contents::new(path, machine);
-    contents.read_on(u64::MAX)?;
-    Ok(contents.runs())
 }
 
-fn run_of(topic: &str, run: &str) -> Option<(Topic, (u64, u64))> {
-    let (first, last) = run.split_once(' ')?;
-    Some((Topic::from_name(topic)?, (first.parse().ok()?, last.parse().ok()?)))
+fn delete(file: &HeldFile) -> Result<(), RecordError> {
+    match std::fs::remove_file(&file.path) {
+        Err(error) if error.kind() != ErrorKind::NotFound => {
+            Err(file_error(&file.path, "cannot be deleted")(error))
+        }
+        _ => Ok(()),
+    }
 }
 
 #[cfg(test)]

@@ -330,8 +330,8 @@ fn live_runs(name: &str, keep: impl Fn(Topic, u64) -> bool) -> Vec<BootRun> {
     write_boot(&mut writer, 1, 27, |_, _| true);
     write_boot(&mut writer, 2, 40, keep);
     writer.finish().expect("finish");
-    assert_eq!(read_live_runs(&path, "b").expect("read"), []);
-    read_live_runs(&path, "a").expect("read")
+    assert_eq!(read_live_runs([path.as_path()], "b").expect("read"), []);
+    read_live_runs([path.as_path()], "a").expect("read")
 }
 
 #[test]

@@ -72,7 +72,11 @@ pub struct RecordWriter {
 
 /// Creates the file and its writer; the header is on the disk when this returns.
 pub(super) fn create(path: &Path) -> Result<(FileWriter, File), RecordError> {
-    let file = File::create(path).map_err(file_error(path, "cannot be created"))?;
+    begin(File::create(path), path)
+}
+
+fn begin(file: std::io::Result<File>, path: &Path) -> Result<(FileWriter, File), RecordError> {
+    let file = file.map_err(file_error(path, "cannot be created"))?;
     let handle = file.try_clone().map_err(file_error(path, "cannot be opened twice"))?;
     let mut writer = WriteOptions::new()
         .profile("ros2")
@@ -94,16 +98,19 @@ impl RecordWriter {
     /// # Errors
     /// [`RecordError`] if the file cannot be created and synced.
     pub fn create(path: &Path) -> Result<Self, RecordError> {
-        Self::create_next(path, ChannelBook::default())
+        create(path).map(|begun| Self::of(begun, path, ChannelBook::default()))
     }
 
-    /// Creates a file that goes on where another one ended, whose book is given.
+    /// Creates a file that goes on where another one ended, whose book is given. Nothing may be at `path`.
     ///
     /// # Errors
-    /// [`RecordError`] if the file cannot be created and synced.
+    /// [`RecordError`] if something is there, or the file cannot be created and synced.
     pub fn create_next(path: &Path, book: ChannelBook) -> Result<Self, RecordError> {
-        let (writer, file) = create(path)?;
-        Ok(Self {
+        begin(File::create_new(path), path).map(|begun| Self::of(begun, path, book))
+    }
+
+    fn of((writer, file): (FileWriter, File), path: &Path, book: ChannelBook) -> Self {
+        Self {
             path: path.to_owned(),
             writer,
             file,
@@ -113,7 +120,7 @@ impl RecordWriter {
             last_tick: None,
             span: None,
             messages: 0,
-        })
+        }
     }
 
     /// The file.

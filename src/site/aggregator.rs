@@ -36,7 +36,10 @@ pub(super) struct Outlets {
 impl Outlets {
     fn remember(&self, fleet: &mut Fleet, with_cells: bool) {
         let Some(history) = &self.history else { return };
-        fleet.take_outage_changes().into_iter().for_each(|change| history.leave(Note::Outage(change)));
+        fleet
+            .take_outage_changes()
+            .into_iter()
+            .for_each(|change| history.leave(Note::Outage(Box::new(change))));
         if with_cells {
             let cells = fleet.take_cells();
             if !cells.is_empty() {

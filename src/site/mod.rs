@@ -239,13 +239,8 @@ impl Site {
             tracing::warn!("Zenoh did not end the subscriptions in time");
         }
         let mut books = None;
-        if let (Some(backfill), Some(recorder)) = (self.backfill, &self.recorder) {
-            let (gaps, saving) = backfill.stop().await;
-            // The channel has room for most of them; a recording that does not say so lacks them all the same.
-            for gap in gaps {
-                let _ = recorder.inbox().try_send(backfill::note(&gap));
-            }
-            books = saving;
+        if let Some(backfill) = self.backfill {
+            books = backfill.stop().await;
         }
         if let Some(recorder) = self.recorder {
             // The thread finishes its file; joining it must not hold up the others.

@@ -68,12 +68,19 @@ pub struct HeldBoot {
     pub current: bool,
     /// First and last message of each topic; some in between may be missing.
     pub topics: BTreeMap<Topic, Range>,
+    /// What there was of a topic below this number is overwritten; what else is missing never was on board.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub overwritten: BTreeMap<Topic, u64>,
+    /// Some of it cannot be read now, so that nothing of it is known to be lost.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub unread: bool,
 }
 
 /// Messages out of an on-board record, each as it was sent.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Batch {
-    /// For each topic that was asked for: all that is held and was asked for below this number is in here.
+    /// For each topic that was asked for: all that is held and was asked for below this number is in here. What is
+    /// above may be in here, too.
     pub done: BTreeMap<Topic, u64>,
     /// In the order in which the machine sent them.
     pub messages: Vec<(Topic, Attachment, Vec<u8>)>,
@@ -236,13 +243,20 @@ mod tests {
             r#"{"ask":"messages","boot":"0000000000000001","wanted":{"sensor/imu":[[3,5],[9,9]]},"bytes":1000}"#
         );
         assert_eq!(RecordRequest::decode(&bytes).expect("ours"), request);
-        let held = HeldBoot { boot: BootId(2), current: true, topics: [(Topic::Pose, [0, 9])].into() };
-        let holdings = Holdings { kept: Kept::Yes, boots: vec![held] };
+        let topics = [(Topic::Pose, [0, 9])].into();
+        let held =
+            HeldBoot { boot: BootId(2), current: true, topics, overwritten: BTreeMap::new(), unread: false };
+        let mut holdings = Holdings { kept: Kept::Yes, boots: vec![held] };
         let bytes = encode_json("holdings", &holdings).expect("JSON");
         assert_eq!(
             std::str::from_utf8(&bytes).expect("text"),
             r#"{"kept":"yes","boots":[{"boot":"0000000000000002","current":true,"topics":{"pose":[0,9]}}]}"#
         );
+        assert_eq!(Holdings::decode(&bytes).expect("ours"), holdings);
+        holdings.boots[0].overwritten = [(Topic::Pose, 7)].into();
+        holdings.boots[0].unread = true;
+        let bytes = encode_json("holdings", &holdings).expect("JSON");
+        assert!(bytes.ends_with(br#""overwritten":{"pose":7},"unread":true}]}"#));
         assert_eq!(Holdings::decode(&bytes).expect("ours"), holdings);
         assert!(RecordRequest::decode(br#"{"ask":"everything"}"#).is_err());
         assert!(RecordRequest::decode(br#"{"ask":"messages","wanted":{"sonar":[]}}"#).is_err());

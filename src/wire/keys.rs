@@ -1,4 +1,4 @@
-//! Zenoh keys: `holdfast/{site}/{machine}/{topic}`, the queryable `…/record` and the liveliness token
+//! Zenoh keys: `holdfast/{site}/{machine}/{topic}`, the queryable `…/record/{boot}` and the liveliness token
 //! `…/alive/{boot}`.
 
 use super::{BootId, Topic};
@@ -10,9 +10,10 @@ pub fn topic_key(site: &str, machine: &str, topic: Topic) -> String {
     format!("{ROOT}/{site}/{machine}/{}", topic.name())
 }
 
-/// Where a machine answers for its on-board record.
-pub fn record_key(site: &str, machine: &str) -> String {
-    format!("{ROOT}/{site}/{machine}/record")
+/// Where one run of a machine answers for the on-board record, that of earlier runs too. Of two machines with the
+/// same id each answers for itself alone.
+pub fn record_key(site: &str, machine: &str, boot: BootId) -> String {
+    format!("{ROOT}/{site}/{machine}/record/{boot}")
 }
 
 /// The liveliness token of one run of a machine.
@@ -108,6 +109,7 @@ mod tests {
         let alive = alive_key("s", "m", boot);
         assert_eq!(alive, "holdfast/s/m/alive/00000000000000ff");
         assert_eq!(Key::parse(&alive), Ok(Key::Alive { site: "s", machine: "m", boot }));
+        assert_eq!(record_key("s", "m", boot), "holdfast/s/m/record/00000000000000ff");
     }
 
     #[test]

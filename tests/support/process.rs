@@ -42,6 +42,10 @@ impl Process {
         Self(command.spawn().expect("starts"))
     }
 
+    pub fn id(&self) -> u32 {
+        self.0.id()
+    }
+
     pub fn kill(&mut self) {
         self.0.kill().expect("SIGKILL");
         self.0.wait().expect("ended");

@@ -20,7 +20,7 @@ impl Dice {
     }
 }
 
-/// A boot, whether it runs, and first and last message of its topics.
+/// A boot, whether it runs, and first and last message of its topics. What was before is overwritten.
 type Held<'a> = (u64, bool, &'a [(Topic, [u64; 2])]);
 
 fn holding(boots: &[Held<'_>]) -> Holdings {
@@ -28,8 +28,20 @@ fn holding(boots: &[Held<'_>]) -> Holdings {
         boot: BootId(*boot),
         current: *current,
         topics: topics.iter().copied().collect(),
+        overwritten: topics
+            .iter()
+            .filter(|(_, [first, _])| *first > 0)
+            .map(|(of, [n, _])| (*of, *n))
+            .collect(),
+        unread: false,
     };
     Holdings { kept: Kept::Yes, boots: boots.iter().map(held).collect() }
+}
+
+type Lost = (u64, Range<u64>, GapCause);
+
+fn causes(gaps: &[Gap]) -> Vec<Lost> {
+    gaps.iter().map(|gap| (gap.boot.0, gap.range.clone(), gap.cause)).collect()
 }
 
 fn admit(ledger: &mut Ledger, boot: u64, topic: Topic, numbers: Range<u64>) {
@@ -108,17 +120,17 @@ fn what_cannot_be_had_is_lost_with_its_cause() {
     // Boot 2 is gone, but is not believed to be until it was asked for twice.
     let plan = ledger.plan(MACHINE, &now, None);
     assert_eq!(plan.wanted, [(BootId(3), [(POSE, vec![[5, 7]])].into())]);
-    let causes = |gaps: &[Gap]| gaps.iter().map(|gap| (gap.boot.0, gap.range.clone(), gap.cause)).collect();
-    let lost: Vec<_> = causes(&plan.lost);
-    assert_eq!(lost, [(3, 8..10, GapCause::NotOnBoard)]);
-    let lost: Vec<_> = causes(&ledger.plan(MACHINE, &now, Some(&now)).lost);
-    assert_eq!(lost, [(2, 5..10, GapCause::Overwritten)]);
+    assert_eq!(causes(&plan.lost), [(3, 8..10, GapCause::NotOnBoard)]);
+    let lost = causes(&ledger.plan(MACHINE, &now, Some(&now)).lost);
+    assert_eq!(lost, [(2, 5..10, GapCause::NotOnBoard)], "nothing was ever overwritten");
     assert_eq!(ledger.counts(MACHINE), GapCounts { open: 3, filled: 0, lost: 7 });
-    let gaps = ledger.open_gaps();
-    assert_eq!(causes(&gaps), vec![(3, 5..8, GapCause::Unreachable)]);
+    assert_eq!(causes(&ledger.open_gaps()), [(3, 5..8, GapCause::Unreachable)]);
+    assert_eq!(ledger.open_gaps().len(), 1, "not told so far");
+    ledger.open_gaps_were_told();
+    assert_eq!(ledger.open_gaps(), [], "told once");
     let none = Holdings { kept: Kept::No, boots: vec![] };
     assert_eq!(ledger.plan(MACHINE, &Holdings { kept: Kept::NotNow, ..none.clone() }, Some(&none)).lost, []);
-    let lost: Vec<_> = causes(&ledger.plan(MACHINE, &none, Some(&none)).lost);
+    let lost = causes(&ledger.plan(MACHINE, &none, Some(&none)).lost);
     assert_eq!(lost, [(3, 5..8, GapCause::NotKept)]);
     // It comes after all.
     admit(&mut ledger, 3, POSE, 5..8);
@@ -139,7 +151,126 @@ fn books_survive_as_text_and_numbers_past_32_bits() {
     assert_eq!(back, ledger);
     (far + 5..far + 9).for_each(|number| back.found(MACHINE, BOOT, POSE, number as u32));
     assert!(!back.admit(MACHINE, BOOT, POSE, far + 8) && back.admit(MACHINE, BOOT, POSE, far + 9));
-    assert_eq!(back.machines().collect::<Vec<_>>(), [MACHINE]);
+}
+
+#[test]
+fn what_was_overwritten_is_told_from_what_never_was_on_board() {
+    let mut ledger = Ledger::default();
+    admit(&mut ledger, 1, POSE, 0..1);
+    let mut one = holding(&[(1, false, &[(POSE, [0, 0])]), (2, true, &[])]);
+    // The first second of the boot did not reach the disk; nothing of its odometry did.
+    one.boots[1].topics = [(POSE, [90, 400])].into();
+    [(POSE, 300), (IMU, 20), (IMU, 30)]
+        .into_iter()
+        .for_each(|(topic, n)| admit(&mut ledger, 2, topic, n..n + 1));
+    let plan = ledger.plan(MACHINE, &one, Some(&one));
+    assert_eq!(causes(&plan.lost), [(2, 0..90, GapCause::NotOnBoard)]);
+    // Then the ring goes on: up to 200 everything goes.
+    one.boots[1].topics = [(POSE, [210, 400])].into();
+    one.boots[1].overwritten = [(POSE, 200), (IMU, 25)].into();
+    one.boots[1].current = false;
+    let plan = ledger.plan(MACHINE, &one, Some(&one));
+    let (overwritten, never) = (GapCause::Overwritten, GapCause::NotOnBoard);
+    let expected = [(2, 90..200, overwritten), (2, 200..210, never), (2, 0..20, overwritten)];
+    assert_eq!(causes(&plan.lost), [&expected[..], &[(2, 21..25, overwritten), (2, 25..30, never)]].concat());
+    assert_eq!(plan.wanted, [(BootId(2), [(POSE, vec![[210, 299], [301, 400]])].into())]);
+    // An answer lacks some, of which the machine has overwritten a part meanwhile.
+    let lacking = BTreeMap::from([(POSE, Ranges::from(vec![(210, 230), (310, 312)]))]);
+    one.boots[1].overwritten = [(POSE, 220)].into();
+    one.boots[1].unread = true;
+    assert_eq!(ledger.not_there(MACHINE, BootId(2), &lacking, &one), [], "perhaps another time");
+    one.boots[1].unread = false;
+    let lost = ledger.not_there(MACHINE, BootId(2), &lacking, &one);
+    assert_eq!(causes(&lost), [(2, 210..220, overwritten), (2, 220..230, never), (2, 310..312, never)]);
+    // A boot that was held, and is gone.
+    admit(&mut ledger, 2, POSE, 500..501);
+    let later = holding(&[(3, true, &[])]);
+    let lost = causes(&ledger.plan(MACHINE, &later, Some(&later)).lost);
+    assert!(
+        lost.len() > 2 && lost.iter().all(|(boot, _, cause)| (*boot, *cause) == (2, overwritten)),
+        "{lost:?}"
+    );
+}
+
+#[test]
+fn nothing_is_lost_of_a_boot_of_which_something_cannot_be_read_now() {
+    let mut ledger = Ledger::default();
+    admit(&mut ledger, 1, POSE, 0..1);
+    [(POSE, 300), (IMU, 20)].into_iter().for_each(|(topic, n)| admit(&mut ledger, 2, topic, n..n + 1));
+    let mut now = holding(&[(2, false, &[(POSE, [90, 200])]), (3, true, &[])]);
+    now.boots[0].unread = true;
+    let plan = ledger.plan(MACHINE, &now, Some(&now));
+    assert_eq!((plan.count(), plan.lost), (111, vec![]));
+    now.boots[0].unread = false;
+    assert_eq!(ledger.plan(MACHINE, &now, Some(&now)).lost.len(), 3);
+}
+
+#[test]
+fn what_was_overwritten_before_the_machine_was_met_is_no_gap() {
+    let now = holding(&[(5, true, &[(POSE, [600, 800]), (IMU, [70, 90])])]);
+    // Nothing has come so far; then a pose has.
+    for first in [None, Some(790)] {
+        let mut ledger = Ledger::default();
+        first.into_iter().for_each(|number| admit(&mut ledger, 5, POSE, number..number + 1));
+        for before in [None, Some(&now)] {
+            let plan = ledger.plan(MACHINE, &now, before);
+            assert_eq!((plan.lost, ledger.counts(MACHINE).lost), (vec![], 0), "{first:?}");
+        }
+        admit(&mut ledger, 5, IMU, 80..81);
+        assert_eq!(ledger.counts(MACHINE).open, 10);
+        // What was there then, and is overwritten before it could be fetched, is one.
+        let later = holding(&[(5, true, &[(POSE, [700, 900]), (IMU, [75, 95])])]);
+        let lost = causes(&ledger.plan(MACHINE, &later, Some(&now)).lost);
+        let of_imu = (5, 70..75, GapCause::Overwritten);
+        assert!(lost.contains(&of_imu) && lost.iter().all(|(_, range, _)| range.start != 0), "{lost:?}");
+    }
+}
+
+#[test]
+fn boots_without_end_are_forgotten_but_not_what_is_held_nor_the_count() {
+    let mut ledger = Ledger::default();
+    for boot in 0..400 {
+        admit(&mut ledger, boot, POSE, 0..1);
+        admit(&mut ledger, boot, POSE, 3..4);
+        ledger.synced();
+        // The first one is held to the end.
+        let now = match boot {
+            0 => holding(&[(0, true, &[(POSE, [0, 0])])]),
+            _ => holding(&[(0, false, &[(POSE, [0, 3])]), (boot, true, &[(POSE, [0, 0])])]),
+        };
+        ledger.plan(MACHINE, &now, Some(&now));
+    }
+    let book = &ledger.machines[MACHINE];
+    assert_eq!((book.order.len(), book.boots.len()), (BOOTS_MAX, BOOTS_MAX));
+    assert!(book.boots.contains_key(&BootId(0)) && book.boots.contains_key(&BootId(399)));
+    assert!(book.boots.contains_key(&BootId(145)) && !book.boots.contains_key(&BootId(144)));
+    // Of all but the one that is held and the one that runs; of the first of them what may still be fetched.
+    assert_eq!(ledger.counts(MACHINE), GapCounts { open: 4, filled: 0, lost: 2 * 398 });
+}
+
+#[test]
+fn what_is_lost_waits_until_a_recording_tells_of_it() {
+    let mut ledger = Ledger::default();
+    admit(&mut ledger, 7, POSE, 0..10);
+    ledger.lose(MACHINE, BOOT, POSE, &Ranges::from(vec![(5, 12), (20, 21)]), GapCause::NotOnBoard);
+    let text = serde_json::to_string(&ledger).expect("JSON");
+    let mut back: Ledger = serde_json::from_str(&text).expect("own text");
+    let never = GapCause::NotOnBoard;
+    assert_eq!(causes(back.untold()), [(7, 10..12, never), (7, 20..21, never)]);
+    back.were_told(1);
+    assert_eq!(causes(back.untold()), [(7, 20..21, never)]);
+    back.were_told(1);
+    assert_eq!(back.untold(), []);
+}
+
+/// The topics of a boot of which all is overwritten.
+fn all_gone(
+    made: &BTreeMap<u64, BTreeMap<Topic, u64>>,
+    forgotten: &BTreeMap<(u64, Topic), u64>,
+    boot: u64,
+) -> Vec<(Topic, u64)> {
+    let ends = made[&boot].iter().map(|(topic, end)| (*topic, *end));
+    ends.filter(|(topic, end)| *end > 0 && forgotten.get(&(boot, *topic)) == Some(end)).collect()
 }
 
 /// A machine that makes messages, a network that loses and repeats them, a recorder whose files are lost now and
@@ -156,6 +287,7 @@ fn after_random_losses_everything_is_there_once_or_known_to_be_lost() {
         let mut forgotten: BTreeMap<(u64, Topic), u64> = BTreeMap::new();
         let mut before: Option<Holdings> = None;
         let mut told: BTreeMap<(u64, Topic), Ranges> = BTreeMap::new();
+        let mut shown: BTreeSet<BootId> = BTreeSet::new();
         let mut boot = 0;
         let (mut cut, mut lossy) = (false, 10);
         // So that it was met from the start on.
@@ -228,12 +360,26 @@ fn after_random_losses_everything_is_there_once_or_known_to_be_lost() {
                 };
                 let topics: BTreeMap<_, _> = topics.iter().filter_map(range).collect();
                 let current = boot_of == boot;
-                (current || !topics.is_empty()).then_some(HeldBoot { boot: BootId(boot_of), current, topics })
+                let gone =
+                    |(topic, [first, _]): (&Topic, &[u64; 2])| (*first > 0).then_some((*topic, *first));
+                let overwritten = match topics.is_empty() {
+                    true => BTreeMap::new(),
+                    false => {
+                        topics.iter().filter_map(gone).chain(all_gone(&made, &forgotten, boot_of)).collect()
+                    }
+                };
+                let boot = BootId(boot_of);
+                let held = HeldBoot { boot, current, topics, overwritten, unread: false };
+                (current || !held.topics.is_empty()).then_some(held)
             };
             let now = Holdings { kept: Kept::Yes, boots: (0..=boot).filter_map(held).collect() };
             let plan = ledger.plan(MACHINE, &now, before.as_ref());
+            shown.extend(now.boots.iter().filter(|held| !held.topics.is_empty()).map(|held| held.boot));
             for gap in plan.lost {
-                assert_eq!(gap.cause, GapCause::Overwritten, "seed {seed}");
+                let was_held =
+                    shown.contains(&gap.boot) || now.boots.iter().any(|of| !of.overwritten.is_empty());
+                let cause = if was_held { GapCause::Overwritten } else { GapCause::NotOnBoard };
+                assert_eq!(gap.cause, cause, "seed {seed}");
                 told.entry((gap.boot.0, gap.topic)).or_default().insert_range(gap.range);
             }
             for (boot, wanted) in plan.wanted {
@@ -269,7 +415,10 @@ fn after_random_losses_everything_is_there_once_or_known_to_be_lost() {
                 // A boot that was forgotten before anybody asked for it ends where it was last heard of.
                 let all_forgotten = forgotten.get(&(*boot_of, *topic)).copied().unwrap_or(0) >= *end;
                 let tail = there.end();
-                let missing = if all_forgotten { missing.within(0..tail) } else { missing };
+                let missing = match all_forgotten {
+                    true => missing.without(&Ranges::from(vec![(tail, u64::MAX)])),
+                    false => missing,
+                };
                 assert!(missing.is_empty(), "seed {seed}: {boot_of} {topic}: {missing:?} of {end}");
             }
         }

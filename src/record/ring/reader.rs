@@ -1,13 +1,15 @@
 //! Reads messages out of a ring, by their numbers.
 
 use std::collections::{BTreeMap, VecDeque};
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use mcap::records::{Metadata, Record};
 
-use super::{COUNTED_FROM, HeldFile, Runs, Shelf};
+use super::{COUNTED_FROM, HeldFile, Numbers, Runs, Shelf};
+use crate::record::ranges::widen_from;
 use crate::record::scan::{Raw, Scanner, unpack};
-use crate::record::{RecordError, parse_channel_name, stamp_of};
+use crate::record::{RecordError, file_error, parse_channel_name, stamp_of};
 use crate::wire::{Attachment, Batch, BootId, Topic, Wanted, payload_stamp};
 
 /// What is in so many files is remembered; some 300 bytes for each second.
@@ -26,9 +28,12 @@ pub(super) struct Contents {
     machine: Option<String>,
     topics: BTreeMap<u16, Topic>,
     /// The number before the next message of a topic, of which the file has the lower half.
-    counted: BTreeMap<Topic, u64>,
+    counted: Numbers,
+    /// What was counted before the file.
+    pub(super) counted_from: Numbers,
     chunks: Vec<ChunkAt>,
-    read_to: u64,
+    /// So many bytes were looked at, and are whole.
+    pub(super) read_to: u64,
 }
 
 #[derive(Clone)]
@@ -56,23 +61,39 @@ impl RingReader {
             };
             (files, wanted.keys().map(|topic| (*topic, end(topic))).collect::<BTreeMap<_, _>>())
         };
-        let mut answer =
-            Answer { wanted, bytes_max, bytes: 0, passed: BTreeMap::new(), batch: Batch::default() };
+        let mut answer = Answer::new(wanted, bytes_max);
         for file in files {
-            if !intersects(wanted, &file.runs) {
+            if file.is_read && !intersects(wanted, &file.runs) {
                 answer.pass(&file.runs);
                 continue;
             }
-            // A file that is gone or cannot be read holds nothing.
-            let is_full = self.read_file(&file, boot, &mut answer).unwrap_or(false);
-            if is_full {
-                answer.batch.done = wanted.keys().map(|topic| (*topic, answer.passed_to(*topic))).collect();
-                return answer.batch;
+            match self.read_file(&file, boot, &mut answer) {
+                Ok(true) => return answer.finish(|passed, topic| passed.get(&topic).copied().unwrap_or(0)),
+                Ok(false) => answer.pass(&file.runs),
+                Err(error) => {
+                    self.contents.retain(|contents| contents.path != file.path);
+                    if self.shelf.cannot_be_read(&file, &error) {
+                        answer.pass(&file.runs);
+                    } else {
+                        answer.miss(&file);
+                    }
+                }
             }
-            answer.pass(&file.runs);
         }
-        answer.batch.done = ends;
-        answer.batch
+        answer.finish(|_, topic| ends.get(&topic).copied().unwrap_or(0))
+    }
+
+    /// Tries again to read what could not be read.
+    pub fn look_again(&mut self) {
+        let unread = |file: &&HeldFile| !file.is_read;
+        let files: Vec<HeldFile> = self.shelf.lock().files.iter().filter(unread).cloned().collect();
+        for file in files {
+            let mut contents = Contents::new(&file.path, "");
+            match contents.read_on(u64::MAX) {
+                Ok(()) => self.shelf.was_read(&file, &contents),
+                Err(error) => _ = self.shelf.cannot_be_read(&file, &error),
+            }
+        }
     }
 
     /// True if no more is to be had.
@@ -93,12 +114,17 @@ impl RingReader {
             }
         };
         let contents = &mut self.contents[place];
-        contents.read_on(file.bytes)?;
+        // How long one is that was never read nobody knows.
+        contents.read_on(if file.runs.is_empty() { u64::MAX } else { file.bytes })?;
+        if !file.is_read {
+            self.shelf.was_read(file, contents);
+        }
         let mut scanner = Scanner::open(&file.path)?;
         for chunk in &contents.chunks {
             if intersects(answer.wanted, &chunk.runs) {
                 scanner.seek(chunk.at)?;
-                let Some(raw) = scanner.next_raw()? else { break };
+                let cut = || file_error(&file.path, "has become shorter")(ErrorKind::UnexpectedEof.into());
+                let raw = scanner.next_raw()?.ok_or_else(cut)?;
                 if answer.take(&raw, chunk, &contents.topics, boot) {
                     return Ok(true);
                 }
@@ -106,6 +132,33 @@ impl RingReader {
             answer.pass(&chunk.runs);
         }
         Ok(false)
+    }
+}
+
+impl Shelf {
+    /// What an unread file holds is known now.
+    fn was_read(&self, file: &HeldFile, contents: &Contents) {
+        let mut shelved = self.lock();
+        let Some(held) = shelved.files.iter_mut().find(|held| held.number == file.number) else { return };
+        held.is_read = true;
+        // Of the file that is being written the writer knows more.
+        if held.runs.is_empty() {
+            held.runs = contents.runs();
+            held.counted_from = contents.counted_from.clone();
+            held.bytes = contents.read_to;
+        }
+    }
+
+    /// True if the file is gone, so that it holds nothing; else it may be read another time.
+    fn cannot_be_read(&self, file: &HeldFile, error: &RecordError) -> bool {
+        let mut shelved = self.lock();
+        let is_gone = error.system().is_some_and(|error| error.kind() == ErrorKind::NotFound);
+        match shelved.files.iter().position(|held| held.number == file.number) {
+            Some(place) if is_gone => _ = shelved.files.remove(place),
+            Some(place) => shelved.files[place].is_read = false,
+            None => {}
+        }
+        is_gone
     }
 }
 
@@ -122,17 +175,39 @@ struct Answer<'a> {
     bytes_max: u64,
     bytes: u64,
     /// Everything below was looked at.
-    passed: BTreeMap<Topic, u64>,
+    passed: Numbers,
+    /// From here on something could not be looked at.
+    missed: Numbers,
     batch: Batch,
 }
 
-impl Answer<'_> {
-    fn pass(&mut self, runs: &Runs) {
-        self.passed.extend(runs.iter().map(|(topic, (_, last))| (*topic, last + 1)));
+impl<'a> Answer<'a> {
+    fn new(wanted: &'a Wanted, bytes_max: u64) -> Self {
+        let (passed, missed) = (Numbers::new(), Numbers::new());
+        Self { wanted, bytes_max, bytes: 0, passed, missed, batch: Batch::default() }
     }
 
-    fn passed_to(&self, topic: Topic) -> u64 {
-        self.passed.get(&topic).copied().unwrap_or(0)
+    /// Says how far all is in it: up to `end`, but for what was missed.
+    fn finish(mut self, end: impl Fn(&Numbers, Topic) -> u64) -> Batch {
+        let done = |topic: &Topic| {
+            let missed = self.missed.get(topic).copied().unwrap_or(u64::MAX);
+            (*topic, end(&self.passed, *topic).min(missed))
+        };
+        self.batch.done = self.wanted.keys().map(done).collect();
+        self.batch
+    }
+
+    /// A file cannot be read. Which topics it has is known if it could be read before.
+    fn miss(&mut self, file: &HeldFile) {
+        for topic in self.wanted.keys().filter(|topic| file.runs.is_empty() || file.runs.contains_key(topic))
+        {
+            let passed = self.passed.get(topic).copied().unwrap_or(0);
+            self.missed.entry(*topic).or_insert(passed);
+        }
+    }
+
+    fn pass(&mut self, runs: &Runs) {
+        self.passed.extend(runs.iter().map(|(topic, (_, last))| (*topic, last + 1)));
     }
 
     /// Takes what is wanted out of a chunk; true if no more fits.
@@ -141,7 +216,7 @@ impl Answer<'_> {
             let Record::Message { header, data } = record else { continue };
             let Some(topic) = topics.get(&header.channel_id).copied() else { continue };
             let Some((first, _)) = chunk.runs.get(&topic) else { continue };
-            let sequence = first + u64::from(header.sequence.wrapping_sub(*first as u32));
+            let sequence = widen_from(header.sequence, *first);
             let ranges = self.wanted.get(&topic);
             if ranges.is_some_and(|ranges| ranges.iter().any(|[from, to]| (*from..=*to).contains(&sequence)))
             {
@@ -170,7 +245,8 @@ impl Contents {
             path: path.to_owned(),
             machine: (!machine.is_empty()).then(|| machine.to_owned()),
             topics: BTreeMap::new(),
-            counted: BTreeMap::new(),
+            counted: Numbers::new(),
+            counted_from: Numbers::new(),
             chunks: Vec::new(),
             read_to: 0,
         }
@@ -218,6 +294,7 @@ impl Contents {
             self.counted = numbers
                 .filter_map(|(topic, number)| Some((Topic::from_name(topic)?, number.parse().ok()?)))
                 .collect();
+            self.counted_from = self.counted.clone();
         }
     }
 
@@ -235,7 +312,7 @@ impl Contents {
                 Record::Message { header, .. } => {
                     let Some(topic) = self.topics.get(&header.channel_id) else { continue };
                     let next = self.counted.entry(*topic).or_insert(0);
-                    let sequence = *next + u64::from(header.sequence.wrapping_sub(*next as u32));
+                    let sequence = widen_from(header.sequence, *next);
                     *next = sequence + 1;
                     runs.entry(*topic).and_modify(|run| run.1 = sequence).or_insert((sequence, sequence));
                 }

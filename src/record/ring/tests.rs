@@ -168,7 +168,7 @@ fn earlier_boots_are_served_also_if_they_were_killed() {
         }
     }
     let shelf = Shelf::default();
-    let ring = Ring::open(folder.options(5, PLENTY), shelf.clone(), at(0)).expect("opens");
+    let mut ring = Ring::open(folder.options(5, PLENTY), shelf.clone(), at(0)).expect("opens");
     let holdings = shelf.holdings(|_| true);
     let boots: Vec<_> = holdings.boots.iter().map(|held| (held.boot.0, held.current)).collect();
     assert_eq!(boots, [(1, false), (2, false), (3, false), (4, false), (5, true)]);
@@ -206,4 +206,158 @@ fn numbers_go_on_past_32_bits() {
     let numbers: Vec<u64> = batch.messages.iter().map(|(_, attachment, _)| attachment.sequence).collect();
     assert_eq!(numbers, (far + 40..=far + 60).collect::<Vec<_>>());
     drop(ring);
+}
+
+/// What a failure leaves: the file as far as it was synced.
+fn tear(ring: Ring, shelf: &Shelf) -> PathBuf {
+    let (path, bytes) = shelf.lock().files.back().map(|file| (file.path.clone(), file.bytes)).expect("file");
+    ring.abandon();
+    File::options().write(true).open(&path).and_then(|file| file.set_len(bytes)).expect("cut");
+    path
+}
+
+/// Something that opens, but does not read, in a file's place.
+struct Hidden(PathBuf);
+
+impl Hidden {
+    fn hide(path: &std::path::Path) -> Self {
+        std::fs::rename(path, path.with_extension("away")).expect("away");
+        std::fs::create_dir(path).expect("in the way");
+        Self(path.to_owned())
+    }
+
+    fn show(self) {
+        std::fs::remove_dir(&self.0).expect("out of the way");
+        std::fs::rename(self.0.with_extension("away"), &self.0).expect("back");
+    }
+}
+
+#[test]
+fn ring_that_is_opened_again_writes_over_nothing() {
+    let folder = Folder::new("again");
+    let shelf = Shelf::default();
+    let mut ring = Ring::open(folder.options(1, PLENTY), shelf.clone(), at(0)).expect("opens");
+    fill(&mut ring, 1, 0..1_000);
+    let path = tear(ring, &shelf);
+    // As on a disk that does not let it be recovered, and a stranger's file that is the newest.
+    let bytes = std::fs::read(&path).expect("reads");
+    let hidden = Hidden::hide(&path);
+    std::fs::write(folder.0.join("00000007-notes.txt"), b"kept").expect("written");
+    let mut ring = Ring::open(folder.options(1, PLENTY), shelf.clone(), at(1_000)).expect("opens");
+    fill(&mut ring, 1, 1_000..2_000);
+    ring.finish().expect("closed");
+    drop(ring);
+    hidden.show();
+    assert_eq!(std::fs::read(&path).expect("there"), bytes);
+    assert_eq!(std::fs::read(folder.0.join("00000007-notes.txt")).expect("there"), b"kept");
+    let newest = folder.files().pop().expect("some");
+    assert!(newest.ends_with("00000008-0000000000000001.mcap"), "{newest:?}");
+    assert!(RecordWriter::create_next(&path, ChannelBook::default()).is_err());
+    assert_eq!(std::fs::read(&path).expect("there"), bytes);
+}
+
+#[test]
+fn what_cannot_be_read_now_is_not_said_to_be_missing() {
+    let folder = Folder::new("unread");
+    let shelf = Shelf::default();
+    let mut ring = Ring::open(folder.options(1, PLENTY), shelf.clone(), at(0)).expect("opens");
+    fill(&mut ring, 1, 0..15_000);
+    ring.finish().expect("closed");
+    let [first, second, third] = &folder.files()[..] else { panic!("one a minute") };
+    let wanted: Wanted = [(Topic::Journal, vec![[0, 13_000]])].into();
+    let mut reader = shelf.reader();
+    let (all, _) = fetch(&mut reader, 1, &wanted, PLENTY);
+    assert_eq!(all.len(), 13_001);
+    let [end, next] = [1, 2].map(|place| shelf.lock().files[place].runs[&Topic::Journal].0);
+    // The one in the middle: what is before and after is there, and no more is said than that.
+    let hidden = Hidden::hide(second);
+    let mut reader = shelf.reader();
+    let batch = reader.batch(BootId(1), &wanted, PLENTY);
+    let numbers: Vec<u64> = batch.messages.iter().map(|(_, about, _)| about.sequence).collect();
+    assert_eq!(numbers, (0..end).chain(next..=13_000).collect::<Vec<_>>());
+    assert_eq!(batch.done[&Topic::Journal], end);
+    assert!(shelf.holdings(|_| true).boots[0].unread);
+    reader.look_again();
+    assert!(shelf.holdings(|_| true).boots[0].unread);
+    hidden.show();
+    reader.look_again();
+    assert!(!shelf.holdings(|_| true).boots[0].unread);
+    let batch = reader.batch(BootId(1), &wanted, PLENTY);
+    assert_eq!((batch.messages.len(), batch.done[&Topic::Journal]), (13_001, 13_500));
+    // The same when the ring is opened: then nobody knows what is in it.
+    drop((ring, shelf));
+    let hidden = Hidden::hide(first);
+    let shelf = Shelf::default();
+    let ring = Ring::open(folder.options(2, PLENTY), shelf.clone(), at(0)).expect("opens");
+    let mut reader = shelf.reader();
+    let batch = reader.batch(BootId(1), &wanted, PLENTY);
+    assert_eq!((batch.messages.len() as u64, batch.done[&Topic::Journal]), (13_001 - end, 0));
+    hidden.show();
+    reader.look_again();
+    let held = shelf.holdings(|_| true).boots[0].clone();
+    assert_eq!((held.unread, held.topics[&Topic::Journal]), (false, [0, 13_499]));
+    // One that somebody has deleted holds nothing.
+    std::fs::remove_file(third).expect("deleted");
+    let batch = reader.batch(BootId(1), &wanted, PLENTY);
+    assert_eq!((batch.messages.len() as u64, batch.done[&Topic::Journal]), (next, u64::MAX));
+    assert!(!shelf.holdings(|_| true).boots[0].unread);
+    drop(ring);
+}
+
+#[test]
+fn ring_says_what_is_overwritten_and_finds_it_in_its_files() {
+    let folder = Folder::new("counted");
+    let shelf = Shelf::default();
+    let mut ring = Ring::open(folder.options(1, 1_000_000), shelf.clone(), at(0)).expect("opens");
+    fill(&mut ring, 1, 0..3_000);
+    assert_eq!(shelf.holdings(|_| true).boots[0].overwritten, BTreeMap::new());
+    fill(&mut ring, 1, 3_000..12_000);
+    let held = shelf.holdings(|_| true).boots[0].clone();
+    let [first, _] = held.topics[&Topic::Journal];
+    assert!(first > 4_000 && held.overwritten[&Topic::Journal] == first, "{held:?}");
+    assert_eq!(shelf.holdings(|topic| topic == Topic::Event).boots[0].overwritten.len(), 1);
+    // Messages that are dropped before they come here are not overwritten.
+    ring.finish().expect("closed");
+    drop(ring);
+    let again = Shelf::default();
+    let mut ring = Ring::open(folder.options(2, 10_000_000), again.clone(), at(0)).expect("opens");
+    fill(&mut ring, 2, 500..1_000);
+    ring.finish().expect("closed");
+    let boots = again.holdings(|_| true).boots;
+    assert_eq!((&boots[0].overwritten, &boots[0].topics[&Topic::Journal][0]), (&held.overwritten, &first));
+    assert_eq!((boots[1].overwritten.len(), boots[1].topics[&Topic::Journal]), (0, [450, 899]));
+}
+
+#[test]
+fn what_cannot_be_deleted_is_told_and_tried_again() {
+    let folder = Folder::new("stuck");
+    let shelf = Shelf::default();
+    let mut ring = Ring::open(folder.options(1, 1_000_000), shelf.clone(), at(0)).expect("opens");
+    fill(&mut ring, 1, 0..2_000);
+    assert!(ring.take_trouble().is_none());
+    let oldest = folder.files()[0].clone();
+    let hidden = Hidden::hide(&oldest);
+    fill(&mut ring, 1, 2_000..8_000);
+    let trouble = ring.take_trouble().expect("told").to_string();
+    assert!(trouble.contains("cannot be deleted") && ring.take_trouble().is_none(), "{trouble}");
+    assert_eq!(shelf.lock().stuck.len(), 1);
+    let [first, _] = shelf.holdings(|_| true).boots[0].topics[&Topic::Journal];
+    assert!(first > 0 && shelf.bytes() <= 1_000_000);
+    hidden.show();
+    fill(&mut ring, 1, 8_000..8_200);
+    assert!(shelf.lock().stuck.is_empty() && !oldest.exists());
+}
+
+#[test]
+fn ring_counts_what_a_failure_may_have_lost_and_can_be_made_smaller() {
+    let folder = Folder::new("count");
+    let shelf = Shelf::default();
+    let mut ring = Ring::open(folder.options(1, PLENTY), shelf.clone(), at(0)).expect("opens");
+    fill(&mut ring, 1, 0..7_000);
+    let bytes = shelf.bytes();
+    ring.set_bytes_max(bytes / 4);
+    fill(&mut ring, 1, 7_000..7_230);
+    assert!(shelf.bytes() < bytes / 2, "{} of {bytes}", shelf.bytes());
+    let held: u64 = shelf.holdings(|_| true).boots[0].topics.values().map(|[_, last]| last + 1).sum();
+    assert_eq!(ring.abandon(), 7_230 - held);
 }

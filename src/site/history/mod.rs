@@ -37,7 +37,7 @@ const WRITTEN_EVERY: Span = Span::from_millis(10_000);
 /// What is to be remembered.
 #[derive(Debug)]
 pub(super) enum Note {
-    Outage(Change),
+    Outage(Box<Change>),
     Cells(Vec<(String, CellKey, CellTime)>),
 }
 
@@ -102,7 +102,7 @@ fn run(archive: &Archive, notes: &Receiver<Note>, clock: SiteClock) {
     let mut written: BTreeMap<String, Stamp> = BTreeMap::new();
     while let Ok(note) = notes.recv() {
         let kept = match note {
-            Note::Outage(change) => archive.note_outage(change, &mut written, clock.now()),
+            Note::Outage(change) => archive.note_outage(*change, &mut written, clock.now()),
             Note::Cells(cells) => archive.database().add_cells(&cells),
         };
         if let Err(error) = kept {

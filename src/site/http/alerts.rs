@@ -84,7 +84,7 @@ pub(super) struct TestView {
 }
 
 /// Alerts, also those that are over.
-#[utoipa::path(get, path = "/api/v1/alerts", tag = "alerts", params(AlertsQuery),
+#[utoipa::path(get, path = "/api/v1/alerts", operation_id = "alerts", tag = "alerts", params(AlertsQuery),
     responses((status = OK, body = AlertsView),
         (status = BAD_REQUEST, body = Problem, content_type = "application/problem+json"),
         (status = INTERNAL_SERVER_ERROR, body = Problem, content_type = "application/problem+json")))]
@@ -109,7 +109,7 @@ pub(super) async fn list(
 }
 
 /// Somebody saw the alert.
-#[utoipa::path(post, path = "/api/v1/alerts/{id}/acknowledge", tag = "alerts",
+#[utoipa::path(post, path = "/api/v1/alerts/{id}/acknowledge", operation_id = "acknowledge_alert", tag = "alerts",
     params(("id" = String, Path, description = "The alert's id")),
     request_body(content = Option<AcknowledgeRequest>, description = "A note; may be left out"),
     responses((status = OK, body = AlertView),
@@ -156,7 +156,7 @@ fn who() -> String {
 }
 
 /// Sends a test through all channels, and waits for what they say; nothing is tried twice.
-#[utoipa::path(post, path = "/api/v1/alerts/test", tag = "alerts",
+#[utoipa::path(post, path = "/api/v1/alerts/test", operation_id = "test_alerts", tag = "alerts",
     responses((status = OK, body = TestView)))]
 pub(super) async fn test(State(shared): State<Shared>) -> Json<TestView> {
     let now = shared.clock.now();

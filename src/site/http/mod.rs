@@ -98,7 +98,7 @@ impl Shared {
         (name = "sessions", description = "Recordings"),
         (name = "operation", description = "Of the server itself")
     ),
-    components(schemas(Problem, live::LiveMessage, live::Request))
+    components(schemas(Problem, live::LiveMessage, live::Request, outages::OutageState))
 )]
 struct Documentation;
 

@@ -108,7 +108,7 @@ pub(super) struct MapQuery {
 }
 
 /// GNSS outages and lost links of all machines.
-#[utoipa::path(get, path = "/api/v1/outages", tag = "outages", params(OutagesQuery),
+#[utoipa::path(get, path = "/api/v1/outages", operation_id = "outages", tag = "outages", params(OutagesQuery),
     responses((status = OK, body = OutagesView),
         (status = BAD_REQUEST, body = Problem, content_type = "application/problem+json"),
         (status = INTERNAL_SERVER_ERROR, body = Problem, content_type = "application/problem+json")))]
@@ -159,7 +159,7 @@ pub(super) async fn outage(
 }
 
 /// Outages added up by machine and by day of the site's time zone.
-#[utoipa::path(get, path = "/api/v1/outages/statistics", tag = "outages", params(SpanQuery),
+#[utoipa::path(get, path = "/api/v1/outages/statistics", operation_id = "outage_statistics", tag = "outages", params(SpanQuery),
     responses((status = OK, body = Statistics),
         (status = BAD_REQUEST, body = Problem, content_type = "application/problem+json"),
         (status = INTERNAL_SERVER_ERROR, body = Problem, content_type = "application/problem+json")))]

@@ -16,6 +16,7 @@ use tokio::sync::oneshot;
 use super::Shared;
 use super::api::malformed;
 use super::problem::Problem;
+use crate::record::says_full;
 use crate::site::sessions::{
     Answer, Catalogue, Command, Notes, NotesChange, Progress, RecordingView, Refusal, SessionDetail,
     SessionView,
@@ -105,7 +106,8 @@ pub(super) async fn stop(
         (status = BAD_REQUEST, body = Problem, content_type = "application/problem+json"),
         (status = NOT_FOUND, body = Problem, content_type = "application/problem+json"),
         (status = UNSUPPORTED_MEDIA_TYPE, body = Problem, content_type = "application/problem+json"),
-        (status = INSUFFICIENT_STORAGE, body = Problem, content_type = "application/problem+json")))]
+        (status = INSUFFICIENT_STORAGE, body = Problem, content_type = "application/problem+json"),
+        (status = SERVICE_UNAVAILABLE, body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn edit(
     State(shared): State<Shared>,
     id: Result<Path<String>, PathRejection>,
@@ -122,7 +124,11 @@ pub(super) async fn edit(
         Ok(None) => Err(Problem::not_found("session", &id)),
         Err(error) => {
             tracing::error!("session {id}: what is written to it cannot be kept: {error}");
-            Err(Problem::new(StatusCode::INSUFFICIENT_STORAGE, format!("it cannot be written: {error}")))
+            let status = match says_full(&error) {
+                true => StatusCode::INSUFFICIENT_STORAGE,
+                false => StatusCode::SERVICE_UNAVAILABLE,
+            };
+            Err(Problem::new(status, format!("it cannot be written: {error}")))
         }
     }
 }

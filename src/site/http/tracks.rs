@@ -194,7 +194,7 @@ pub(super) struct HistoryView {
 }
 
 /// Where the machines of a session were and how they did, thinned to 24 000 poses at most: for replay.
-#[utoipa::path(get, path = "/api/v1/sessions/{id}/track", tag = "sessions",
+#[utoipa::path(get, path = "/api/v1/sessions/{id}/track", operation_id = "session_track", tag = "sessions",
     params(("id" = String, Path, description = "The session's id"), TrackQuery,
         ("If-None-Match" = Option<String>, Header, description = "Tags that the client has")),
     responses((status = OK, body = TrackAnswer),
@@ -219,7 +219,7 @@ pub(super) async fn track(
 }
 
 /// What happened to the machines of a session: modes, graphs, outages, restarts, refused readings.
-#[utoipa::path(get, path = "/api/v1/sessions/{id}/events", tag = "sessions",
+#[utoipa::path(get, path = "/api/v1/sessions/{id}/events", operation_id = "session_events", tag = "sessions",
     params(("id" = String, Path, description = "The session's id"), TrackQuery,
         ("If-None-Match" = Option<String>, Header, description = "Tags that the client has")),
     responses((status = OK, body = EventsAnswer),
@@ -243,7 +243,7 @@ pub(super) async fn events(
 }
 
 /// What a machine said of itself in the last hour, once a second.
-#[utoipa::path(get, path = "/api/v1/machines/{id}/history", tag = "fleet",
+#[utoipa::path(get, path = "/api/v1/machines/{id}/history", operation_id = "machine_history", tag = "fleet",
     params(("id" = String, Path, description = "The machine's id"), HistoryQuery),
     responses((status = OK, body = HistoryView),
         (status = BAD_REQUEST, body = Problem, content_type = "application/problem+json"),

@@ -19,6 +19,8 @@ pub(in crate::site) struct Catalogue {
     database: Mutex<Database>,
     /// The session that is being written: nobody else looks into its files.
     running: Mutex<Option<String>>,
+    /// Held by whoever changes what is written to a session, from reading it to the end; before the database.
+    writing: Mutex<()>,
     /// Whether others may write there, so that the database may not, and is filled anew each time.
     is_visitor: bool,
 }
@@ -52,7 +54,8 @@ impl Catalogue {
             tracing::warn!("the sessions' database cannot be used, and is kept in memory: {error}");
             Database::in_memory()
         })?;
-        Ok(Self { folder, database: Mutex::new(database), running: Mutex::new(None), is_visitor: false })
+        let (database, running, writing) = (Mutex::new(database), Mutex::new(None), Mutex::new(()));
+        Ok(Self { folder, database, running, writing, is_visitor: false })
     }
 
     /// Of a folder in which somebody else may record. Changes nothing in it.
@@ -63,7 +66,8 @@ impl Catalogue {
             message: error.to_string(),
         };
         let database = Mutex::new(memory.map_err(failed)?);
-        Ok(Self { folder: Folder::new(folder), database, running: Mutex::new(None), is_visitor: true })
+        let (running, writing) = (Mutex::new(None), Mutex::new(()));
+        Ok(Self { folder: Folder::new(folder), database, running, writing, is_visitor: true })
     }
 
     pub(super) fn folder(&self) -> &Folder {
@@ -113,6 +117,7 @@ impl Catalogue {
     /// # Errors
     /// The outer one: it cannot be written. The inner one says what is wrong with the change.
     pub fn edit(&self, id: &str, change: NotesChange) -> std::io::Result<Option<Result<(), String>>> {
+        let _writing = lock(&self.writing);
         if !is_id(id) || !self.folder.exists(id) {
             return Ok(None);
         }
@@ -166,6 +171,7 @@ impl Catalogue {
             }
             let parts = self.folder.parts(&id);
             let known = known.get(&id);
+            let writing = lock(&self.writing);
             let notes = match (self.folder.read_notes(&id), known) {
                 (Some(notes), _) => notes,
                 // The file is lost, and the database still knows it by heart.
@@ -180,6 +186,7 @@ impl Catalogue {
             if known.is_none_or(|known| known.notes != notes) {
                 self.with(|database| database.put_notes(&id, &notes));
             }
+            drop(writing);
             let gone = known
                 .iter()
                 .flat_map(|known| known.parts.keys())
@@ -252,6 +259,7 @@ impl Catalogue {
         if self.is_running(id) {
             return Ok(());
         }
+        let _writing = lock(&self.writing);
         self.folder.delete(id)?;
         self.with(|database| database.remove(id));
         Ok(())

@@ -9,6 +9,7 @@ use std::time::UNIX_EPOCH;
 use serde::{Deserialize, Serialize};
 
 use super::schedule::timestamp;
+use crate::record::sync_folder;
 use crate::time::Stamp;
 
 /// Format of a session's id: when it was started, UTC.
@@ -218,11 +219,6 @@ fn look(path: &Path) -> Option<Look> {
     let modified = about.modified().ok()?.duration_since(UNIX_EPOCH).unwrap_or_default();
     let modified_ns = i64::try_from(modified.as_nanos()).unwrap_or(i64::MAX);
     Some(Look { bytes: about.len(), modified_ns })
-}
-
-/// Makes entries of a folder survive a power cut.
-fn sync_folder(path: &Path) -> std::io::Result<()> {
-    File::open(path)?.sync_all()
 }
 
 /// Ids come from URLs and become paths: letters, digits and '-' only.

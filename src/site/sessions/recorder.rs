@@ -27,10 +27,10 @@ use super::housekeeping::Housekeeping;
 use super::retention::Retention;
 use super::running::{Progress, Rolling, Running};
 use super::schedule::Schedule;
-use super::space::{Ballast, Reserve, disk_free_bytes, is_disk_full, says_full};
+use super::space::{Ballast, Reserve, disk_free_bytes};
 use super::view::RecordingState;
 use crate::config;
-use crate::record::RecordError;
+use crate::record::{RecordError, says_full};
 use crate::site::SiteError;
 use crate::site::backfill::Books;
 use crate::site::clock::SiteClock;
@@ -68,13 +68,10 @@ pub(in crate::site) enum Refusal {
 /// What the thread is asked.
 #[derive(Debug)]
 pub(in crate::site) enum Command {
-    /// A message, also one that comes late.
+    /// A message that came by itself.
     Write(Inbound),
-    /// A metadata record.
-    Note {
-        name: &'static str,
-        entries: BTreeMap<String, String>,
-    },
+    /// A message that was fetched because a recording lacks it. It still does if nothing is recorded now.
+    Fetched(Inbound),
     /// Another session, now; the one that runs ends with the last message before.
     Start {
         notes: Notes,
@@ -118,7 +115,7 @@ impl Recorder {
         let now = clock.now();
         if let Err(error) = desk.begin(&Notes::default(), now) {
             // A full disk may have room again; what else is wrong now is wrong with the site file.
-            if !is_disk_full(&error) {
+            if !error.is_disk_full() {
                 return Err(failed(error.to_string()));
             }
             desk.pause(&error);
@@ -235,8 +232,14 @@ impl Desk {
     fn run(mut self, commands: &Receiver<Command>, counters: &Counters) {
         loop {
             match commands.recv_timeout(TURN) {
-                Ok(Command::Write(inbound)) => self.write(&inbound),
-                Ok(Command::Note { name, entries }) => self.note(name, entries),
+                Ok(Command::Write(inbound)) => {
+                    if !self.write(&inbound) {
+                        self.do_without(&inbound);
+                    }
+                }
+                Ok(Command::Fetched(inbound)) => {
+                    self.write(&inbound);
+                }
                 Ok(Command::Start { notes, answer }) => {
                     let started = self.start(&notes);
                     // Whoever asked may be gone.
@@ -262,26 +265,23 @@ impl Desk {
         self.publish();
     }
 
-    fn write(&mut self, inbound: &Inbound) {
-        match &mut self.session {
-            Some(session) if session.is_open() => {
-                if let Err(error) = session.write(inbound) {
-                    self.pause(&error);
-                }
-            }
-            // It is fetched from the machine when the recording goes on.
-            _ if self.progress.state == RecordingState::Paused => self.progress.missed += 1,
-            // Nobody wants it, later neither.
-            _ => {
-                let Attachment { boot, sequence, .. } = inbound.attachment;
-                self.books.lock().pass(&inbound.machine, boot, inbound.topic, sequence);
-            }
+    /// False if nothing is recorded now.
+    fn write(&mut self, inbound: &Inbound) -> bool {
+        let Some(session) = self.session.as_mut().filter(|session| session.is_open()) else { return false };
+        if let Err(error) = session.write(inbound) {
+            self.pause(&error);
         }
+        true
     }
 
-    fn note(&mut self, name: &str, entries: BTreeMap<String, String>) {
-        if let Some(Err(error)) = self.session.as_mut().map(|session| session.note(name, entries)) {
-            self.pause(&error);
+    fn do_without(&mut self, inbound: &Inbound) {
+        if self.progress.state == RecordingState::Paused {
+            // It is fetched from the machine when the recording goes on.
+            self.progress.missed += 1;
+        } else {
+            // Nobody wants it, later neither.
+            let Attachment { boot, sequence, .. } = inbound.attachment;
+            self.books.lock().pass(&inbound.machine, boot, inbound.topic, sequence);
         }
     }
 
@@ -299,6 +299,9 @@ impl Desk {
             self.next_session(now);
         }
         if let Some(Err(error)) = self.session.as_mut().map(|session| session.roll(self.rolling, now)) {
+            self.pause(&error);
+        }
+        if let Some(Err(error)) = self.session.as_mut().map(Running::tell_lost) {
             self.pause(&error);
         }
         if self.session.as_ref().is_some_and(Running::is_full) {
@@ -373,7 +376,7 @@ impl Desk {
         if let Some(session) = &mut self.session {
             session.give_up(error, &self.ballast);
         }
-        self.wants_room = is_disk_full(error);
+        self.wants_room = error.is_disk_full();
         let why = match self.wants_room {
             true => format!("the disk is full: {error}"),
             false => error.to_string(),

@@ -5,9 +5,12 @@ use std::sync::Arc;
 
 use super::catalogue::Catalogue;
 use super::folder::Notes;
-use super::space::{Ballast, is_disk_full};
+use super::space::Ballast;
 use super::view::RecordingState;
-use crate::record::{ChannelBook, FileState, RecordError, RecordWriter, Recorded, Summary, recover};
+use crate::record::{
+    BOOT_SEEN, ChannelBook, FileState, Gap, RecordError, RecordWriter, Recorded, SESSION, SITE, Summary,
+    recover,
+};
 use crate::site::backfill::Books;
 use crate::site::inlet::Inbound;
 use crate::time::{Span, Stamp};
@@ -115,13 +118,17 @@ impl Running {
 
     /// Opens the next file.
     pub fn open(&mut self, now: Stamp) -> Result<(), RecordError> {
+        // What is in the way stays.
+        while self.catalogue.folder().part(&self.id, self.next).exists() {
+            self.next += 1;
+        }
         let number = self.next;
         let path = self.catalogue.folder().part(&self.id, number);
         let opened = RecordWriter::create_next(&path, self.book.clone()).and_then(|mut writer| {
-            writer.write_metadata("holdfast.site", (*self.about_the_site).clone())?;
+            writer.write_metadata(SITE, (*self.about_the_site).clone())?;
             let entries = [("id", self.id.clone()), ("file", number.to_string())];
             let entries = entries.map(|(key, value)| (key.to_owned(), value)).into();
-            writer.write_metadata("holdfast.session", entries)?;
+            writer.write_metadata(SESSION, entries)?;
             writer.sync()?;
             Ok(writer)
         });
@@ -162,7 +169,7 @@ impl Running {
             self.machines.insert(Arc::clone(&inbound.machine));
             let entries = [("machine", inbound.machine.to_string()), ("boot", boot.to_string())];
             let entries = entries.map(|(key, value)| (key.to_owned(), value)).into();
-            writer.write_metadata("holdfast.boot", entries)?;
+            writer.write_metadata(BOOT_SEEN, entries)?;
         }
         writer.write(&Recorded {
             machine: inbound.machine.to_string(),
@@ -177,9 +184,29 @@ impl Running {
         Ok(())
     }
 
-    /// Adds a metadata record.
-    pub fn note(&mut self, name: &str, entries: BTreeMap<String, String>) -> Result<(), RecordError> {
-        self.file.as_mut().map_or(Ok(()), |file| file.writer.write_metadata(name, entries))
+    /// Says what is lost for good; without an open file it is said another time.
+    pub fn tell_lost(&mut self) -> Result<(), RecordError> {
+        let Some(OpenFile { writer, .. }) = &mut self.file else { return Ok(()) };
+        let untold = self.books.lock().untold().to_vec();
+        if untold.is_empty() {
+            return Ok(());
+        }
+        for gap in &untold {
+            writer.write_metadata(Gap::NAME, gap.entries())?;
+        }
+        writer.sync()?;
+        let mut ledger = self.books.lock();
+        ledger.synced();
+        ledger.were_told(untold.len());
+        Ok(())
+    }
+
+    /// Says what is lost, and what nobody could fetch so far.
+    fn tell_open(&mut self) -> Result<(), RecordError> {
+        self.tell_lost()?;
+        let Some(OpenFile { writer, .. }) = &mut self.file else { return Ok(()) };
+        let open = self.books.lock().open_gaps();
+        open.iter().try_for_each(|gap| writer.write_metadata(Gap::NAME, gap.entries()))
     }
 
     fn tell_synced(&self) {
@@ -224,7 +251,7 @@ impl Running {
             self.book = writer.book().clone();
             writer.abandon();
         }
-        if is_disk_full(error) {
+        if error.is_disk_full() {
             ballast.release();
         }
         let number = match self.next.checked_sub(1) {
@@ -242,7 +269,8 @@ impl Running {
                 self.catalogue.put(&self.id, number, Some(summary));
             }
             Err(error) => {
-                self.books.revoke(None);
+                // What is in it is there all the same.
+                self.books.revoke(Some(&path));
                 tracing::error!("cannot be recovered now: {error}");
             }
         }
@@ -250,9 +278,13 @@ impl Running {
 
     /// Nothing is added any more. Returns the bytes of its files.
     pub fn end(mut self, ballast: &Ballast) -> u64 {
-        if let Err(error) = self.close() {
+        let was_open = self.is_open();
+        let closed = self.tell_open().and_then(|()| self.close());
+        if let Err(error) = closed {
             tracing::error!("session {} is not closed: {error}", self.id);
             self.give_up(&error, ballast);
+        } else if was_open {
+            self.books.lock().open_gaps_were_told();
         }
         self.catalogue.end();
         self.closed_bytes.values().sum()

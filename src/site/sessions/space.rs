@@ -1,10 +1,7 @@
-//! How much room the disk has, and what a full one is.
+//! How much room the disk has.
 
 use std::fs::File;
-use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
-
-use crate::record::RecordError;
 
 /// What is held back for closing files when the disk is full, bytes: the index of the largest.
 const BALLAST_BYTES: u64 = 16 << 20;
@@ -83,16 +80,6 @@ impl Reserve {
     }
 }
 
-/// Whether a failure says that there is no room.
-pub(super) fn is_disk_full(error: &RecordError) -> bool {
-    error.system().is_some_and(says_full)
-}
-
-/// Whether the system says that there is no room.
-pub(super) fn says_full(error: &std::io::Error) -> bool {
-    matches!(error.kind(), ErrorKind::StorageFull | ErrorKind::QuotaExceeded | ErrorKind::FileTooLarge)
-}
-
 /// Space that is left where `path` is; `None` if the system does not tell.
 #[cfg(unix)]
 pub(in crate::site) fn disk_free_bytes(path: &Path) -> Option<u64> {
@@ -126,14 +113,5 @@ mod tests {
         assert!(!reserve.is_restored(110_000_000) && reserve.is_restored(150_000_000));
         let none = Reserve::of_megabytes(0.0);
         assert!(!none.is_touched(0) && !none.is_restored(BALLAST_BYTES));
-    }
-
-    #[test]
-    fn full_disk_is_told_from_other_failures() {
-        for (code, full) in
-            [(libc::ENOSPC, true), (libc::EDQUOT, true), (libc::EIO, false), (libc::EACCES, false)]
-        {
-            assert_eq!(says_full(&std::io::Error::from_raw_os_error(code)), full, "{code}");
-        }
     }
 }

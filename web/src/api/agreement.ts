@@ -4,7 +4,16 @@
  */
 
 import type { components } from "./generated";
-import type { FleetView, LiveMessage, MachineView, SessionsView } from "./types";
+import type { AlertsView } from "./alerts";
+import type { OutageDetail, OutagesView, Statistics } from "./outages";
+import type {
+  FleetView,
+  HistoryView,
+  LiveMessage,
+  MachineView,
+  SessionsView,
+  TrackAnswer,
+} from "./types";
 
 type Schemas = components["schemas"];
 
@@ -23,6 +32,12 @@ export type Agreement = [
   Holds<Same<MachineView, Schemas["MachineView"]>>,
   Holds<Same<LiveMessage, Schemas["LiveMessage"]>>,
   Holds<Same<SessionsView, Schemas["SessionsView"]>>,
+  Holds<Same<TrackAnswer, Schemas["TrackAnswer"]>>,
+  Holds<Same<HistoryView, Schemas["HistoryView"]>>,
+  Holds<Same<OutagesView, Schemas["OutagesView"]>>,
+  Holds<Same<OutageDetail, Schemas["OutageDetail"]>>,
+  Holds<Same<Statistics, Schemas["Statistics"]>>,
+  Holds<Same<AlertsView, Schemas["AlertsView"]>>,
 ];
 
 type Holds<T extends true> = T;

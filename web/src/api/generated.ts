@@ -4,6 +4,57 @@
  */
 
 export interface paths {
+    "/api/v1/alerts": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** Alerts, also those that are over. */
+        get: operations["alerts"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/alerts/test": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /** Sends a test through all channels, and waits for what they say; nothing is tried twice. */
+        post: operations["test_alerts"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/alerts/{id}/acknowledge": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /** Somebody saw the alert. */
+        post: operations["acknowledge_alert"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/fleet": {
         parameters: {
             query?: never;
@@ -67,6 +118,57 @@ export interface paths {
         };
         /** One machine, as it is now. */
         get: operations["machine"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/outages": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** GNSS outages and lost links of all machines. */
+        get: operations["outages"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/outages/statistics": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** Outages added up by machine and by day of the site's time zone. */
+        get: operations["outage_statistics"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/outages/{id}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** One outage, with its sigma over time and the machine's track. */
+        get: operations["outage"];
         put?: never;
         post?: never;
         delete?: never;
@@ -168,6 +270,23 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/shadow-map": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** Where machines lack good GNSS: the time they spent in each cell, and the share of it without. */
+        get: operations["shadow_map"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/healthz": {
         parameters: {
             query?: never;
@@ -223,6 +342,166 @@ export interface paths {
 export type webhooks = Record<string, never>;
 export interface components {
     schemas: {
+        /** @description What somebody writes who saw an alert. */
+        AcknowledgeRequest: {
+            /** @description At most 2000 characters; may be left out. */
+            note?: string;
+        };
+        /** @description Who saw an alert, as the API says it. */
+        AcknowledgementView: {
+            /**
+             * Format: date-time
+             * @description When.
+             */
+            at: string;
+            /** @description Who. */
+            by: string;
+            /** @description What they wrote; may be empty. */
+            note: string;
+        };
+        /**
+         * @description How much an alert matters.
+         * @enum {string}
+         */
+        AlertSeverity: "info" | "warning" | "critical";
+        /**
+         * @description Where an alert stands.
+         * @enum {string}
+         */
+        AlertState: "active" | "acknowledged" | "cleared_unacknowledged" | "cleared";
+        /** @description An alert, as the API says it. */
+        AlertView: {
+            acknowledged?: components["schemas"]["AcknowledgementView"] | null;
+            /**
+             * Format: date-time
+             * @description When it changed last.
+             */
+            changed: string;
+            /**
+             * Format: date-time
+             * @description When it was over; `null` while it goes on.
+             */
+            cleared?: string | null;
+            /** @description Unique on the site. */
+            id: string;
+            /** @description Whose; `null` if it is the site's. */
+            machine?: string | null;
+            /** @description In words, as it was when it was raised. */
+            message: string;
+            /** @description Which part of the machine: a sensor's name. */
+            part?: string | null;
+            /**
+             * Format: date-time
+             * @description When it was raised first.
+             */
+            raised: string;
+            /** @description Which rule. */
+            rule: components["schemas"]["RuleKind"];
+            /** @description How much it matters. */
+            severity: components["schemas"]["AlertSeverity"];
+            /** @description Where it stands. */
+            state: components["schemas"]["AlertState"];
+            /**
+             * Format: int32
+             * @description How often it was raised before somebody saw it.
+             */
+            times: number;
+            /**
+             * Format: double
+             * @description What the rule watches when it was raised, in the unit of its threshold in the site file.
+             */
+            value: number;
+            /**
+             * Format: double
+             * @description The worst since then.
+             */
+            worst: number;
+        };
+        /** @description A part of the list of alerts. */
+        AlertsView: {
+            /** @description Newest first. */
+            alerts: components["schemas"]["AlertView"][];
+            /** @description The `cursor` with which the list goes on; `null` at its end. */
+            next?: string | null;
+        };
+        /** @description What is left until one sigma of the position passes the site's tolerance. */
+        Budget: {
+            /**
+             * Format: double
+             * @description Way that is left, m; 0 if the tolerance is passed, `null` if the sigma does not grow with the way.
+             */
+            distance_m?: number | null;
+            /**
+             * Format: double
+             * @description Time that is left, s; 0 if the tolerance is passed, `null` if the sigma does not grow with time.
+             */
+            time_s?: number | null;
+            /**
+             * Format: double
+             * @description The site's tolerance: one sigma along the worst horizontal direction, m.
+             */
+            tolerance_m: number;
+        };
+        /** @description Outages of one cause. */
+        CauseTally: {
+            /** @description What was wrong when they began. */
+            cause: components["schemas"]["FixState"];
+            /**
+             * Format: double
+             * @description How long they lasted, s.
+             */
+            duration_s: number;
+            /**
+             * Format: int64
+             * @description How many began.
+             */
+            outages: number;
+        };
+        /** @description What a receiver said to a test. */
+        ChannelTest: {
+            /** @description `webhook:{name}` or `mail`. */
+            channel: string;
+            /** @description Whether it took the test. */
+            delivered: boolean;
+            /** @description What it said, or why it was not told. */
+            said: string;
+        };
+        /** @description The outage that goes on, with what is left. */
+        CurrentOutage: {
+            budget?: components["schemas"]["Budget"] | null;
+            /** @description What was wrong when it began. */
+            cause: components["schemas"]["FixState"];
+            /**
+             * Format: double
+             * @description Since its start, s.
+             */
+            duration_s: number;
+            /** @description As in `/api/v1/outages/{id}`. */
+            id: string;
+            /**
+             * Format: double
+             * @description One sigma of the position along its worst horizontal direction, m.
+             */
+            position_sigma_m?: number | null;
+            /**
+             * Format: date-time
+             * @description Since when.
+             */
+            start: string;
+            /**
+             * Format: double
+             * @description Way since its start, m; `null` if the link is lost.
+             */
+            travelled_m?: number | null;
+        };
+        /** @description One day of a machine. */
+        DayStatistics: components["schemas"]["Tally"] & {
+            /**
+             * Format: date
+             * @description By the site's time zone, such as `2026-11-23`.
+             */
+            day: string;
+        };
         /** @description An ellipse in the horizontal plane. */
         Ellipse95: {
             /**
@@ -241,6 +520,11 @@ export interface components {
              */
             semi_minor_m: number;
         };
+        /**
+         * @description How an outage ended.
+         * @enum {string}
+         */
+        Ending: "recovered" | "link_back" | "restarted" | "unheard";
         /** @description One of the files of a session. */
         FileView: {
             /**
@@ -276,6 +560,11 @@ export interface components {
             /** @description How whole it is. */
             state: components["schemas"]["SessionState"];
         };
+        /**
+         * @description What the site knows of a machine's fixes.
+         * @enum {string}
+         */
+        FixState: "fixed" | "float" | "degraded" | "frozen" | "jumping" | "silent" | "link_lost" | "recovering";
         /** @description The whole site at one time. */
         FleetView: {
             /** @description In the order of their ids. */
@@ -293,6 +582,18 @@ export interface components {
          * @enum {string}
          */
         GnssState: "fixed" | "degraded" | "frozen" | "jumping" | "silent" | "recovering";
+        /** @description A machine's fixes, now. */
+        GnssView: {
+            mode?: components["schemas"]["Mode"] | null;
+            outage?: components["schemas"]["CurrentOutage"] | null;
+            /**
+             * Format: date-time
+             * @description Since when.
+             */
+            since: string;
+            /** @description State of the fixes. */
+            state: components["schemas"]["FixState"];
+        };
         /** @description State of a machine's estimator. */
         Health: {
             /** @description Accelerometer bias, m/s², in the IMU frame. */
@@ -352,6 +653,11 @@ export interface components {
              * @description Since it arrived, by the site's clock, s.
              */
             age_s: number;
+            /**
+             * Format: double
+             * @description How old its newest estimate was when it said this, by its own clock, s; `null` before the start.
+             */
+            estimate_age_s?: number | null;
             /** @description As the machine sent it. */
             report: components["schemas"]["Health"];
         };
@@ -428,14 +734,34 @@ export interface components {
             /** @enum {string} */
             type: "delta";
         } | {
+            alerts: components["schemas"]["AlertView"][];
+            /**
+             * Format: int64
+             * @description One more than in the last message.
+             */
+            seq: number;
+            /** @enum {string} */
+            type: "alerts";
+        } | {
             detail: string;
             /** @enum {string} */
             type: "error";
+        };
+        /** @description One machine. */
+        MachineStatistics: {
+            /** @description Day by day, without those on which nothing was heard of it. */
+            days: components["schemas"]["DayStatistics"][];
+            /** @description Its id. */
+            machine: string;
+            /** @description Over the whole span. */
+            total: components["schemas"]["Tally"];
         };
         /** @description One machine at one time. */
         MachineView: {
             /** @description 16 hex digits, drawn at each start of the machine's software; empty if not known yet. */
             boot: string;
+            /** @description Its fixes, and the outage that goes on. */
+            gnss: components["schemas"]["GnssView"];
             health?: components["schemas"]["HealthView"] | null;
             /** @description As in keys. */
             id: string;
@@ -484,6 +810,13 @@ export interface components {
              */
             tags: string[] | null;
         };
+        /** @description An outage with all that is known of it. */
+        OutageDetail: components["schemas"]["OutageView"] & {
+            /** @description Sigma over time, a few hundred samples at most, however long it lasted. */
+            sigma: components["schemas"]["SigmaView"][];
+            /** @description Where the machine was, a few hundred points at most. */
+            track: components["schemas"]["TrackView"][];
+        };
         /** @description A GNSS outage that goes on, or the last one that ended. */
         OutageReport: {
             /** @description What was wrong with the fixes when it began. */
@@ -508,6 +841,76 @@ export interface components {
              * @description Way of the IMU since the start, m.
              */
             travelled_m: number;
+        };
+        /**
+         * @description Whether an outage goes on.
+         * @enum {string}
+         */
+        OutageState: "open" | "ended";
+        /** @description An outage. */
+        OutageView: {
+            /** @description What was wrong when it began. */
+            cause: components["schemas"]["FixState"];
+            /**
+             * Format: double
+             * @description So far, s.
+             */
+            duration_s: number;
+            /**
+             * Format: date-time
+             * @description When it ended; `null` while it goes on.
+             */
+            end?: string | null;
+            ended_by?: components["schemas"]["Ending"] | null;
+            /** @description Unique on the site. */
+            id: string;
+            /**
+             * Format: double
+             * @description By how much `world_from_odom` moved the machine when it ended, m; `null` if it did not, or did not say.
+             */
+            jump_m?: number | null;
+            /** @description The machine's id. */
+            machine: string;
+            place?: components["schemas"]["PlaceView"] | null;
+            /** @description One sigma of the position. */
+            position_sigma: components["schemas"]["SigmaSummary"];
+            /**
+             * Format: date-time
+             * @description When it began, by the site's clock.
+             */
+            start: string;
+            /**
+             * Format: double
+             * @description Way since its start, m; `null` if nobody knows.
+             */
+            travelled_m?: number | null;
+        };
+        /** @description A part of the list of outages. */
+        OutagesView: {
+            /** @description The `cursor` with which the list goes on; `null` at its end. */
+            next?: string | null;
+            /** @description Newest first. */
+            outages: components["schemas"]["OutageView"][];
+        };
+        /** @description A place on the site. */
+        PlaceView: {
+            /**
+             * Format: double
+             * @description Above the ellipsoid, m.
+             */
+            altitude_m: number;
+            /**
+             * Format: double
+             * @description Degrees, north positive.
+             */
+            latitude_deg: number;
+            /**
+             * Format: double
+             * @description Degrees, east positive.
+             */
+            longitude_deg: number;
+            /** @description In the site frame: east, north, up, m. */
+            position_m: number[];
         };
         /** @description Where a machine is. */
         PoseView: {
@@ -623,6 +1026,8 @@ export interface components {
         };
         /** @description What a client may send. */
         Request: {
+            /** @description Whether alerts are wanted, too; not if it is left out. */
+            alerts?: boolean;
             /** @description Only these machines; all if it is left out. */
             machines?: string[] | null;
             /**
@@ -633,6 +1038,11 @@ export interface components {
             /** @enum {string} */
             type: "subscribe";
         };
+        /**
+         * @description What is watched.
+         * @enum {string}
+         */
+        RuleKind: "outage_longer" | "sigma_over_tolerance" | "machine_lost" | "clock_off" | "disk_low" | "estimator_late" | "sensor_silent";
         /**
          * @description Where a reading comes from; also the last part of its Zenoh key and the name of its log file.
          * @enum {string}
@@ -729,6 +1139,103 @@ export interface components {
          * @enum {string}
          */
         Severity: "good" | "warning" | "bad" | "offline";
+        /** @description One cell of the shadow map. */
+        ShadowFeature: {
+            /** @description The cell's outline. */
+            geometry: components["schemas"]["ShadowPolygon"];
+            /** @description What was counted in it. */
+            properties: components["schemas"]["ShadowProperties"];
+            /** @description `Feature`. */
+            type: string;
+        };
+        /** @description The cells as GeoJSON (RFC 7946). */
+        ShadowMap: {
+            /** @description A polygon for each cell in which a machine was. */
+            features: components["schemas"]["ShadowFeature"][];
+            /** @description `FeatureCollection`. */
+            type: string;
+        };
+        /** @description A cell's outline. */
+        ShadowPolygon: {
+            /** @description One ring of longitude and latitude, counterclockwise, closed. */
+            coordinates: number[][][];
+            /** @description `Polygon`. */
+            type: string;
+        };
+        /** @description What was counted in a cell. */
+        ShadowProperties: {
+            /**
+             * Format: double
+             * @description Length of its edges, m.
+             */
+            cell_m: number;
+            /**
+             * Format: double
+             * @description The cell's western edge in the site frame, m.
+             */
+            east_m: number;
+            /**
+             * Format: double
+             * @description Of that, with fixes that are usable, but not to the centimetre, s.
+             */
+            float_s: number;
+            /**
+             * Format: double
+             * @description The cell's southern edge in the site frame, m.
+             */
+            north_m: number;
+            /**
+             * Format: double
+             * @description Time that machines spent in it, s.
+             */
+            observed_s: number;
+            /**
+             * Format: double
+             * @description Share of the time without good GNSS, 0 to 1.
+             */
+            share_without_gnss: number;
+            /**
+             * Format: double
+             * @description Of that, without good GNSS, s.
+             */
+            without_gnss_s: number;
+        };
+        /** @description Sigma of an outage along the worst horizontal direction. */
+        SigmaSummary: {
+            /**
+             * Format: double
+             * @description Newest, m.
+             */
+            last_m?: number | null;
+            /**
+             * Format: double
+             * @description Largest, m.
+             */
+            max_m?: number | null;
+            /**
+             * Format: double
+             * @description When it began, m.
+             */
+            start_m?: number | null;
+        };
+        /** @description Sigma at a time of an outage. */
+        SigmaView: {
+            /**
+             * Format: double
+             * @description One sigma along the worst horizontal direction, m.
+             */
+            position_sigma_m: number;
+            /**
+             * Format: double
+             * @description Since the outage began, s.
+             */
+            time_s: number;
+            /**
+             * Format: double
+             * @description Way since the outage began, m.
+             */
+            travelled_m: number;
+        };
         /** @description The site. */
         SiteView: {
             /** @description As in keys. */
@@ -741,6 +1248,100 @@ export interface components {
             time_zone: string;
             /** @description Origin of the site frame. */
             world: components["schemas"]["WorldView"];
+        };
+        /** @description Outages added up. */
+        Statistics: {
+            /**
+             * Format: date-time
+             * @description From here on.
+             */
+            from: string;
+            /** @description In the order of their ids. */
+            machines: components["schemas"]["MachineStatistics"][];
+            /** @description IANA name of the zone by which days begin. */
+            time_zone: string;
+            /**
+             * Format: date-time
+             * @description Up to here.
+             */
+            to: string;
+        };
+        /**
+         * @description Outages of a machine in a span of time. Those that lasted longer count with the part in the span; what is told
+         *     once for an outage (their number, way, jump, sigma) counts where it began. A lost link counts by itself: whether
+         *     there was GNSS meanwhile nobody knows.
+         */
+        Tally: {
+            /** @description The same by cause. */
+            by_cause: components["schemas"]["CauseTally"][];
+            /**
+             * Format: double
+             * @description How long GNSS was out, s.
+             */
+            duration_s: number;
+            /**
+             * Format: double
+             * @description Of that, with fixes that are usable, but not to the centimetre, s.
+             */
+            float_s: number;
+            /**
+             * Format: double
+             * @description Largest jump at a recovery, m; `null` if there was none.
+             */
+            jump_max_m?: number | null;
+            /**
+             * Format: int64
+             * @description How often the link was lost.
+             */
+            link_losses: number;
+            /**
+             * Format: double
+             * @description How long the link was lost, s.
+             */
+            link_lost_s: number;
+            /**
+             * Format: double
+             * @description The longest one's part in the span, s.
+             */
+            longest_s: number;
+            /**
+             * Format: double
+             * @description How long poses came, s.
+             */
+            observed_s: number;
+            /**
+             * Format: int64
+             * @description GNSS outages that began.
+             */
+            outages: number;
+            /**
+             * Format: double
+             * @description Largest sigma in an outage, m; `null` if nobody knows.
+             */
+            position_sigma_max_m?: number | null;
+            /**
+             * Format: double
+             * @description Way in outages, m.
+             */
+            travelled_m: number;
+            /**
+             * Format: double
+             * @description Of that, without good GNSS, s.
+             */
+            without_gnss_s: number;
+        };
+        /** @description What the receivers said to a test. */
+        TestView: {
+            /** @description One for each channel of the site file; none if there are no channels. */
+            channels: components["schemas"]["ChannelTest"][];
+        };
+        /** @description Where the machine was at a time of an outage. */
+        TrackView: components["schemas"]["PlaceView"] & {
+            /**
+             * Format: double
+             * @description Since the outage began, s.
+             */
+            time_s: number;
         };
         /** @description Origin of the site frame (ENU), WGS84. */
         WorldView: {
@@ -769,6 +1370,142 @@ export interface components {
 }
 export type $defs = Record<string, never>;
 export interface operations {
+    alerts: {
+        parameters: {
+            query?: {
+                /** @description Only this machine's. */
+                machine?: string;
+                /** @description Only this rule's. */
+                rule?: components["schemas"]["RuleKind"];
+                /** @description Only those that stand so. */
+                state?: components["schemas"]["AlertState"];
+                /** @description Only those that were raised then or later, RFC 3339. */
+                from?: string;
+                /** @description Only those that were raised before, RFC 3339. */
+                to?: string;
+                /** @description So many at most: 100 if it is left out. */
+                limit?: number;
+                /** @description Where the list goes on: `next` of the answer before. */
+                cursor?: string;
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["AlertsView"];
+                };
+            };
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    test_alerts: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["TestView"];
+                };
+            };
+        };
+    };
+    acknowledge_alert: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The alert's id */
+                id: string;
+            };
+            cookie?: never;
+        };
+        /** @description A note; may be left out */
+        requestBody?: {
+            content: {
+                "application/json": components["schemas"]["AcknowledgeRequest"] | null;
+            };
+        };
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["AlertView"];
+                };
+            };
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            415: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
     fleet: {
         parameters: {
             query?: never;
@@ -864,6 +1601,144 @@ export interface operations {
                 };
             };
             404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    outages: {
+        parameters: {
+            query?: {
+                /** @description Only this machine's. */
+                machine?: string;
+                /** @description Only those that began so. */
+                cause?: components["schemas"]["FixState"];
+                /** @description Only those that go on, or that are over. */
+                state?: components["schemas"]["OutageState"];
+                /** @description Only those that went on then or later, RFC 3339. */
+                from?: string;
+                /** @description Only those that began before, RFC 3339. */
+                to?: string;
+                /** @description Only those that lasted so long, s. */
+                min_duration_s?: number;
+                /** @description So many at most: 100 if it is left out. */
+                limit?: number;
+                /** @description Where the list goes on: `next` of the answer before. */
+                cursor?: string;
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["OutagesView"];
+                };
+            };
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    outage_statistics: {
+        parameters: {
+            query?: {
+                /** @description From here on, RFC 3339; a week before `to` if it is left out. */
+                from?: string;
+                /** @description Up to here, RFC 3339; now if it is left out. */
+                to?: string;
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Statistics"];
+                };
+            };
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    outage: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The outage's id */
+                id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["OutageDetail"];
+                };
+            };
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            500: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -1029,6 +1904,14 @@ export interface operations {
                 };
             };
             415: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            503: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -1225,6 +2108,50 @@ export interface operations {
                 };
             };
             503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    shadow_map: {
+        parameters: {
+            query?: {
+                /** @description Only this machine. */
+                machine?: string;
+                /** @description Length of the cells' edges: whole metres, 5 if it is left out. */
+                cell_m?: number;
+                /** @description From here on, to the quarter of an hour, RFC 3339; a week before `to` if it is left out. */
+                from?: string;
+                /** @description Up to here, to the quarter of an hour, RFC 3339; now if it is left out. */
+                to?: string;
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/geo+json": components["schemas"]["ShadowMap"];
+                };
+            };
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            500: {
                 headers: {
                     [name: string]: unknown;
                 };
