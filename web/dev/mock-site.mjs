@@ -1,7 +1,8 @@
 /**
  * DEVELOPMENT MOCK, not the site: speaks the site's API with made-up excavators, to work on the page's look and its pace.
  *
- * `node dev/mock-site.mjs [--dist DIR] [--port N] [--machines N]`; the end-to-end test never uses it. Machine "b" goes through
+ * `node dev/mock-site.mjs [--dist DIR] [--port N] [--machines N]`; the end-to-end test uses it for the pace with many
+ * machines alone: `--page URL` takes the page from a site that runs. Machine "b" goes through
  * holding, stale and lost in turn, 15 s each.
  * With `--phase lost` the second machine stays in that phase.
  */
@@ -15,6 +16,7 @@ import { parseArgs } from "node:util";
 const { values: options } = parseArgs({
   options: {
     dist: { type: "string", default: "dist" },
+    page: { type: "string" },
     port: { type: "string", default: "8090" },
     phase: { type: "string" },
     machines: { type: "string", default: "2" },
@@ -276,6 +278,22 @@ const server = createServer(async (request, response) => {
   if (pathname === "/api/v1/fleet") return json(fleet());
   if (pathname === "/api/v1/sessions") return json(sessions());
   if (pathname === "/healthz") return response.end("ok");
+  if (pathname.startsWith("/api/")) {
+    const empty = { "/api/v1/alerts": { alerts: [], next: null }, "/api/v1/plan": { features: [] } }[
+      pathname
+    ];
+    const me = { accounts: false, name: null, role: "admin", token: null, expires: null };
+    if (pathname === "/api/v1/me") return json(me);
+    return empty === undefined ? response.writeHead(404).end() : json(empty);
+  }
+  if (options.page !== undefined) {
+    const passed = await fetch(new URL(pathname, options.page));
+    const headers = {};
+    for (const name of ["content-type", "content-security-policy"])
+      headers[name] = passed.headers.get(name) ?? "";
+    response.writeHead(passed.status, headers);
+    return response.end(Buffer.from(await passed.arrayBuffer()));
+  }
   const view = /^\/(machines|outages|sessions|alerts|account|sign-in)(\/[^/.]*)?$/.test(pathname);
   const path = normalize(pathname === "/" || view ? "/index.html" : pathname);
   try {

@@ -1,5 +1,37 @@
 /** Measures of the page's pace: when something is seen first, and how many frames a second are drawn. */
 
+import { spawn } from "node:child_process";
+import { fileURLToPath } from "node:url";
+
+/** Fifty machines at ten views a second each, made up, on the page of the site that runs. */
+export async function fiftyMachines(browser, origin) {
+  const script = fileURLToPath(new URL("../dev/mock-site.mjs", import.meta.url));
+  const child = spawn(process.execPath, [script, "--port", "0", "--machines", "50", "--page", origin], {
+    stdio: ["ignore", "pipe", "inherit"],
+  });
+  try {
+    const address = await new Promise((resolve, reject) => {
+      let said = "";
+      child.stdout.on("data", (chunk) => {
+        said += chunk;
+        const found = /http:\/\/\S+/.exec(said);
+        if (found !== null) resolve(found[0]);
+      });
+      child.on("exit", () => reject(new Error(`it ended at once: ${said}`)));
+    });
+    const context = await browser.newContext({ viewport: { width: 1440, height: 900 } });
+    const page = await context.newPage();
+    const shown = await measurePaint(page, address);
+    // The first seconds are for the compiler.
+    await page.waitForTimeout(2_000);
+    const frames = await measureFrames(page, 5);
+    await context.close();
+    return { ...shown, ...frames };
+  } finally {
+    child.kill();
+  }
+}
+
 /** Opens the address; when the first contentful paint was, and the first machine, ms since the navigation began. */
 export async function measurePaint(page, url) {
   await page.addInitScript(() => {

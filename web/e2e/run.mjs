@@ -13,6 +13,7 @@ import { isDeepStrictEqual, parseArgs } from "node:util";
 import { browserMissing, launch } from "./browser.mjs";
 import { Checks } from "./checks.mjs";
 import { Demo } from "./demo.mjs";
+import { fiftyMachines, measurePaint } from "./pace.mjs";
 import { Watched } from "./page.mjs";
 import { recordedFiles, views } from "./views.mjs";
 
@@ -155,6 +156,22 @@ async function live(origin) {
     await page.keyboard.press("Enter");
     await watched.card(ids[0]).locator(".details").waitFor({ timeout: 2_000 });
   });
+
+  await checks.check("the first machine is seen within 1.5 s of the click", async () => {
+    const context = await browser.newContext({ viewport: { width: 1440, height: 900 } });
+    const { firstMachine_ms } = await measurePaint(await context.newPage(), origin);
+    await context.close();
+    console.log(`        first machine after ${firstMachine_ms} ms`);
+    return firstMachine_ms <= 1_500;
+  });
+  await checks.check(
+    "50 machines at 10 Hz: at least 30 frames a second, without graphics hardware",
+    async () => {
+      const pace = await fiftyMachines(browser, origin);
+      console.log(`        ${JSON.stringify(pace)}`);
+      return pace.fps >= 30 && pace.firstMachine_ms <= 1_500;
+    },
+  );
 
   await checks.check("axe has no serious findings, light", () => noFindings(watched));
   await views({ checks, watched, origin, ids, screenshots: options.screenshots, nothing, noFindings });

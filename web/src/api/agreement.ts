@@ -3,17 +3,10 @@
  * not compile. The generated ones write three numbers as a list, and what may be `null` as optional.
  */
 
-import type { components } from "./generated";
 import type { AlertsView } from "./alerts";
+import type { components } from "./generated";
 import type { OutageDetail, OutagesView, Statistics } from "./outages";
-import type {
-  FleetView,
-  HistoryView,
-  LiveMessage,
-  MachineView,
-  SessionsView,
-  TrackAnswer,
-} from "./types";
+import type { FleetView, HistoryView, LiveMessage, MachineView, SessionsView, TrackAnswer } from "./types";
 
 type Schemas = components["schemas"];
 

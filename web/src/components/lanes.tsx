@@ -35,7 +35,7 @@ interface LanesProps {
 }
 
 /** Shorter segments would not be seen. */
-const LEAST_PERCENT = 0.25;
+const LEAST_PERCENT = 0.35;
 
 export function Lanes({ lanes, span, now, onPick, wide = false }: LanesProps) {
   const [from, to] = span;
@@ -71,7 +71,7 @@ export function Lanes({ lanes, span, now, onPick, wide = false }: LanesProps) {
               <LaneWords lane={lane} length={length} />
             </span>
             {lane.segments.map((segment) => {
-              const left = percent(segment.from_s);
+              const left = Math.min(100 - LEAST_PERCENT, percent(segment.from_s));
               const style = {
                 left: `${left}%`,
                 width: `${Math.max(LEAST_PERCENT, percent(segment.to_s) - left)}%`,

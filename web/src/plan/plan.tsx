@@ -248,5 +248,9 @@ function usePalette(): Signal<Palette> {
     query.addEventListener("change", follow);
     return () => query.removeEventListener("change", follow);
   }, [palette, query]);
+  // A change while the page was not drawn has no event in every browser.
+  useEffect(() => {
+    palette.value = query.matches ? DARK : LIGHT;
+  });
   return palette;
 }

@@ -28,7 +28,7 @@ export default function MachineView({ route }: ViewProps) {
   const { text, format } = useSpeech();
   const state = store.calm.value;
   const machine = state.machines.get(id);
-  const minutes = useSignal<number>(15);
+  const minutes = useSignal<number>(5);
   const past = usePast(id);
   const recent = useAsked(id, () => fetchOutages({ machine: id }), 30_000);
   if (machine === undefined) {
