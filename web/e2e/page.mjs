@@ -6,6 +6,9 @@ import { join } from "node:path";
 
 const require = createRequire(import.meta.url);
 
+/** A site without accounts or without a plan of its own has no such paths: the page asks, and goes on without. */
+const OPTIONAL = new Set(["/api/v1/me", "/api/v1/plan"]);
+
 export class Watched {
   /** Requests to anywhere but the page's own origin. */
   foreign = [];
@@ -23,7 +26,8 @@ export class Watched {
     page.on("websocket", (socket) => seen(socket.url()));
     page.on("worker", (worker) => seen(worker.url()));
     page.on("console", (message) => {
-      if (message.type() === "error") this.complaints.push(message.text());
+      const notThere = OPTIONAL.has(new URL(message.location().url || origin).pathname);
+      if (message.type() === "error" && !notThere) this.complaints.push(message.text());
     });
     page.on("pageerror", (error) => this.complaints.push(error.message));
     page.on("requestfailed", (request) => {

@@ -10,6 +10,7 @@ import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { isDeepStrictEqual, parseArgs } from "node:util";
 
+import { ADMIN, accounts, signInAs } from "./accounts.mjs";
 import { browserMissing, launch } from "./browser.mjs";
 import { Checks } from "./checks.mjs";
 import { Demo } from "./demo.mjs";
@@ -43,13 +44,21 @@ const demo = new Demo(options.holdfast, data);
 let browser = null;
 try {
   let origin = null;
+  let account = null;
   await checks.check("the demo prints its address within 5 s", async () => {
     origin = await demo.address();
   });
   if (origin !== null) {
     browser = await launch();
     await live(origin);
-    await ending(origin);
+    const known = JSON.parse(await readFile(new URL("../openapi.json", import.meta.url), "utf8"));
+    // The demo ends with accounts on the site, so this comes late; the ending is watched by somebody signed in.
+    if (known.paths["/api/v1/sign-in"] !== undefined) {
+      const { holdfast: binary, screenshots } = options;
+      await accounts({ checks, browser, origin, binary, data, screenshots, noFindings });
+      account = ADMIN;
+    }
+    await ending(origin, account);
   }
 } finally {
   await browser?.close();
@@ -257,8 +266,9 @@ async function killOne(watched) {
   await watched.screenshot(options.screenshots, "machine-lost");
 }
 
-async function ending(origin) {
+async function ending(origin, account) {
   const watched = await Watched.open(browser, origin);
+  if (account !== null) await signInAs(watched.page, account);
   await watched.page.locator(".card[data-machine]").first().waitFor({ timeout: 10_000 });
   await painted(watched.page);
   await checks.check("Ctrl-C ends the demo with exit 0", async () => {

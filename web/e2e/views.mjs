@@ -99,6 +99,18 @@ export async function views({ checks, watched, origin, ids, screenshots, nothing
     await page.getByRole("heading", { level: 1, name: "Alerts" }).waitFor({ timeout: 10_000 });
     return !(await page.getByRole("checkbox", { name: "Sound for new alerts" }).last().isChecked());
   });
+  await checks.check("an alert is acknowledged with a note, and says who saw it", async () => {
+    // The demo's outage has raised one.
+    const alert = page.locator(".alert", { has: page.getByRole("button", { name: "Acknowledge" }) }).first();
+    await alert.getByRole("button", { name: "Acknowledge" }).click();
+    const id = await page.locator(".alert:has(form)").getAttribute("data-alert");
+    await page.getByLabel("Note").fill("Trees along trench 4");
+    await page.keyboard.press("Enter");
+    await page
+      .locator(`.alert[data-alert="${id}"]`, { hasText: /Seen by .+: “Trees along trench 4”/ })
+      .waitFor({ timeout: 10_000 });
+  });
+  await shot("alerts");
   await checks.check("axe has no serious findings: alerts", () => noFindings(watched));
 
   await checks.check("a path that is no view is not found, an old link to one works", async () => {

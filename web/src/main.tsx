@@ -7,6 +7,7 @@ import { fetchMe } from "./api/accounts";
 import { whenUnknown } from "./api/http";
 import { browserSurroundings, Live } from "./api/live";
 import { App } from "./app";
+import { closeMenus } from "./components/menus";
 import { Format } from "./format";
 import { followBrowser, go, paths, route } from "./route";
 import { takeAlerts } from "./store/alerts";
@@ -77,6 +78,7 @@ function speak(): void {
 
 whenUnknown(() => setMe("nobody"));
 followBrowser();
+closeMenus();
 effect(() => {
   const known = me.value;
   const at = route.value?.view;

@@ -126,6 +126,23 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/machines/{id}/history": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** What a machine said of itself in the last hour, once a second. */
+        get: operations["machine_history"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/outages": {
         parameters: {
             query?: never;
@@ -213,6 +230,23 @@ export interface paths {
         patch: operations["edit"];
         trace?: never;
     };
+    "/api/v1/sessions/{id}/events": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** What happened to the machines of a session: modes, graphs, outages, restarts, refused readings. */
+        get: operations["session_events"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/sessions/{id}/export": {
         parameters: {
             query?: never;
@@ -264,6 +298,23 @@ export interface paths {
         put?: never;
         /** Ends the session that runs. Nothing is recorded until another one is started, or begins by itself. */
         post: operations["stop"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/sessions/{id}/track": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** Where the machines of a session were and how they did, thinned to 24 000 poses at most: for replay. */
+        get: operations["session_track"];
+        put?: never;
+        post?: never;
         delete?: never;
         options?: never;
         head?: never;
@@ -525,6 +576,88 @@ export interface components {
          * @enum {string}
          */
         Ending: "recovered" | "link_back" | "restarted" | "unheard";
+        /** @description One event of a machine. */
+        Event: components["schemas"]["EventKind"] & {
+            /** @description How much it matters. */
+            severity: components["schemas"]["Severity"];
+            /**
+             * Format: int64
+             * @description When, by the machine's stamps, ns.
+             */
+            stamp_ns: number;
+        };
+        /** @description What happened. */
+        EventKind: {
+            /** @description Before. */
+            from: components["schemas"]["Mode"];
+            /** @enum {string} */
+            kind: "mode_changed";
+            /** @description After. */
+            to: components["schemas"]["Mode"];
+        } | {
+            /** @description Before. */
+            from: components["schemas"]["Graph"];
+            /** @enum {string} */
+            kind: "graph_changed";
+            /** @description Why. */
+            reason: string;
+            /** @description After. */
+            to: components["schemas"]["Graph"];
+        } | {
+            /** @description Before. */
+            from: components["schemas"]["GnssState"];
+            /** @enum {string} */
+            kind: "gnss_changed";
+            /** @description After. */
+            to: components["schemas"]["GnssState"];
+        } | {
+            /** @description How the heading was found. */
+            heading_from: string;
+            /**
+             * Format: double
+             * @description Standard deviation of the heading, degrees.
+             */
+            heading_sigma_deg: number;
+            /** @enum {string} */
+            kind: "initialized";
+        } | {
+            /**
+             * Format: int64
+             * @description How many since the last such event of this sensor.
+             */
+            count: number;
+            /** @enum {string} */
+            kind: "refused";
+            /** @description Why, with its numbers. */
+            reason: string;
+            /** @description Whose reading. */
+            sensor: components["schemas"]["Sensor"];
+        } | {
+            /** @description What was wrong. */
+            cause: components["schemas"]["GnssState"];
+            /** @enum {string} */
+            kind: "outage_began";
+        } | (components["schemas"]["OutageReport"] & {
+            /** @enum {string} */
+            kind: "outage_ended";
+        }) | {
+            /** @enum {string} */
+            kind: "restarted";
+            /** @description Why. */
+            reason: string;
+        };
+        /** @description What happened in a session. */
+        EventsAnswer: {
+            /** @description In order of time, 5000 at most. */
+            events: components["schemas"]["SessionEvent"][];
+            /**
+             * Format: int64
+             * @description Events that were left out, refused readings first.
+             */
+            left_out: number;
+            /** @description The session's id. */
+            session: string;
+        };
         /** @description One of the files of a session. */
         FileView: {
             /**
@@ -594,6 +727,11 @@ export interface components {
             /** @description State of the fixes. */
             state: components["schemas"]["FixState"];
         };
+        /**
+         * @description Which of the two graphs answers.
+         * @enum {string}
+         */
+        Graph: "main" | "fallback" | "trial";
         /** @description State of a machine's estimator. */
         Health: {
             /** @description Accelerometer bias, m/s², in the IMU frame. */
@@ -655,11 +793,33 @@ export interface components {
             age_s: number;
             /**
              * Format: double
-             * @description How old its newest estimate was when it said this, by its own clock, s; `null` before the start.
+             * @description From the newest estimate to the report, by the machine's clock, s; `null` before the start.
              */
             estimate_age_s?: number | null;
+            /**
+             * Format: double
+             * @description From an IMU sample to its estimate, 99 % of them over the last second, µs; `null` if it does not tell.
+             */
+            prediction_p99_us?: number | null;
             /** @description As the machine sent it. */
             report: components["schemas"]["Health"];
+        };
+        /** @description What a machine said of itself. */
+        HistoryView: {
+            /**
+             * Format: date-time
+             * @description When the last of them arrived: `since` for those that follow.
+             */
+            last?: string | null;
+            /** @description The machine's id. */
+            machine: string;
+            /**
+             * Format: date-time
+             * @description Times count from here, by the site's clock; `null` if there is nothing.
+             */
+            start?: string | null;
+            /** @description Oldest first, one a second. */
+            states: components["schemas"]["StatePoint"][];
         };
         /** @description How good the link to a machine is. */
         LinkView: {
@@ -756,6 +916,31 @@ export interface components {
             /** @description Over the whole span. */
             total: components["schemas"]["Tally"];
         };
+        /** @description One machine in a session. */
+        MachineTrack: {
+            /**
+             * Format: double
+             * @description What was added to its times, since its clock was not the site's, s.
+             */
+            clock_shift_s: number;
+            /** @description Its id. */
+            id: string;
+            /** @description For people. */
+            name: string;
+            /** @description Thinned. */
+            poses: components["schemas"]["PoseColumns"];
+            /**
+             * Format: int64
+             * @description Poses that were sent, but are not in the recording.
+             */
+            poses_missing: number;
+            /** @description Two seconds and more without a pose. */
+            silences: components["schemas"]["SilenceView"][];
+            /** @description Version of its software, as it told last; empty if it did not. */
+            software: string;
+            /** @description What it said of itself: once a second or less often, and at each change of mode or fixes. */
+            states: components["schemas"]["StatePoint"][];
+        };
         /** @description One machine at one time. */
         MachineView: {
             /** @description 16 hex digits, drawn at each start of the machine's software; empty if not known yet. */
@@ -779,6 +964,8 @@ export interface components {
             presence_since: string;
             /** @description How much it asks for attention. */
             severity: components["schemas"]["Severity"];
+            /** @description Version of its software; empty if not known yet. */
+            software: string;
             /** @description The state in a few words. */
             state_word: string;
         };
@@ -911,6 +1098,29 @@ export interface components {
             longitude_deg: number;
             /** @description In the site frame: east, north, up, m. */
             position_m: number[];
+        };
+        /** @description Poses of a machine, a list for each value, all of one length. */
+        PoseColumns: {
+            /** @description A point of the axis about which the cabin turns, m. */
+            cabin_position_m: number[][];
+            /** @description Of the chassis' x axis, where it is known. */
+            chassis_heading_deg: (number | null)[];
+            /** @description Origin of the chassis frame: east, north, up, m. */
+            chassis_position_m: (number[] | null)[];
+            /** @description 95 % ellipse: longer half axis, shorter half axis, m; bearing of the longer one, degrees. */
+            ellipse95: number[][];
+            /** @description Of the cabin's x axis, clockwise from north. */
+            heading_deg: number[];
+            /** @description One sigma. */
+            heading_sigma_deg: number[];
+            /** @description Of the cabin IMU in the site frame: east, north, up, m. */
+            position_m: number[][];
+            /** @description One sigma: east, north, up, m. */
+            position_sigma_m: number[][];
+            /** @description Of the cabin IMU, m/s. */
+            speed_mps: number[];
+            /** @description Since `start`, s. */
+            time_s: number[];
         };
         /** @description Where a machine is. */
         PoseView: {
@@ -1075,12 +1285,34 @@ export interface components {
             /** @description Which one. */
             sensor: components["schemas"]["Sensor"];
         };
+        /** @description How often a sensor spoke. */
+        SensorRate: {
+            /**
+             * Format: double
+             * @description Over the second before, Hz.
+             */
+            rate_hz: number;
+            /** @description Which one. */
+            sensor: components["schemas"]["Sensor"];
+        };
         /** @description A session and its files. */
         SessionDetail: {
             /** @description Its files, in order of their numbers. */
             files: components["schemas"]["FileView"][];
             /** @description The session. */
             session: components["schemas"]["SessionView"];
+        };
+        /** @description An event of a machine. */
+        SessionEvent: {
+            /** @description What. */
+            event: components["schemas"]["Event"];
+            /** @description Whose. */
+            machine: string;
+            /**
+             * Format: date-time
+             * @description By the machine's stamps.
+             */
+            time: string;
         };
         /**
          * @description How whole a session is.
@@ -1236,6 +1468,19 @@ export interface components {
              */
             travelled_m: number;
         };
+        /** @description A span without any pose. */
+        SilenceView: {
+            /**
+             * Format: double
+             * @description Since `start`, s.
+             */
+            from_s: number;
+            /**
+             * Format: double
+             * @description Since `start`, s.
+             */
+            to_s: number;
+        };
         /** @description The site. */
         SiteView: {
             /** @description As in keys. */
@@ -1248,6 +1493,76 @@ export interface components {
             time_zone: string;
             /** @description Origin of the site frame. */
             world: components["schemas"]["WorldView"];
+        };
+        /** @description What is known of a machine at one time. */
+        StatePoint: {
+            /** @description Accelerometer bias, m/s², in the IMU frame. */
+            accel_bias: number[];
+            /**
+             * Format: double
+             * @description Live, the site's clock less the machine's; of a recording, from sending to receiving by both clocks, s.
+             */
+            clock_offset_s?: number | null;
+            /**
+             * Format: double
+             * @description From the newest estimate to the report, s.
+             */
+            estimate_age_s?: number | null;
+            /** @description State of the fixes. */
+            gnss: components["schemas"]["GnssState"];
+            /** @description Gyro bias, rad/s, in the IMU frame. */
+            gyro_bias: number[];
+            /**
+             * Format: double
+             * @description One sigma of the heading.
+             */
+            heading_sigma_deg?: number | null;
+            /** @description What the estimate rests on. */
+            mode: components["schemas"]["Mode"];
+            /**
+             * Format: double
+             * @description Live: poses that arrived in the second before.
+             */
+            pose_rate_hz?: number | null;
+            /**
+             * Format: double
+             * @description One sigma of the position along its worst horizontal direction, m; `null` before the start.
+             */
+            position_sigma_m?: number | null;
+            /**
+             * Format: double
+             * @description From an IMU sample to its estimate, 99 % of them, µs.
+             */
+            prediction_p99_us?: number | null;
+            /** @description The sensors that ever spoke. */
+            rates: components["schemas"]["SensorRate"][];
+            /** @description How much it asks for attention. */
+            severity: components["schemas"]["Severity"];
+            /**
+             * Format: double
+             * @description Of the cabin IMU, m/s; `null` if no pose was known.
+             */
+            speed_mps?: number | null;
+            /** @description The state in a few words. */
+            state_word: string;
+            /**
+             * Format: double
+             * @description Since the start of the answer that it is in, s.
+             */
+            time_s: number;
+            /**
+             * Format: double
+             * @description Mean time of a smoother update, µs.
+             */
+            update_us: number;
+            /** @description While initializing: what is missing. */
+            waits_for?: string | null;
+            /**
+             * Format: double
+             * @description Largest ratio of innovation to its gate over the second before; over 1 was refused.
+             */
+            worst_test_ratio: number;
+            worst_test_sensor?: components["schemas"]["Sensor"] | null;
         };
         /** @description Outages added up. */
         Statistics: {
@@ -1334,6 +1649,30 @@ export interface components {
         TestView: {
             /** @description One for each channel of the site file; none if there are no channels. */
             channels: components["schemas"]["ChannelTest"][];
+        };
+        /** @description What the machines of a session did. */
+        TrackAnswer: {
+            /** @description Whether nothing is added to the session any more. */
+            finished: boolean;
+            /**
+             * Format: double
+             * @description From the first to the last, s.
+             */
+            length_s: number;
+            /** @description In the order of their ids. */
+            machines: components["schemas"]["MachineTrack"][];
+            /** @description The session's id. */
+            session: string;
+            /**
+             * Format: date-time
+             * @description Times count from here; `null` if there is nothing.
+             */
+            start?: string | null;
+            /**
+             * Format: double
+             * @description From one pose to the next, s: longer than was asked for where there would be too many.
+             */
+            step_s: number;
         };
         /** @description Where the machine was at a time of an outage. */
         TrackView: components["schemas"]["PlaceView"] & {
@@ -1598,6 +1937,47 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["MachineView"];
+                };
+            };
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    machine_history: {
+        parameters: {
+            query?: {
+                /** @description Only what arrived after that, RFC 3339. */
+                since?: string;
+            };
+            header?: never;
+            path: {
+                /** @description The machine's id */
+                id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["HistoryView"];
+                };
+            };
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
                 };
             };
             404: {
@@ -1929,6 +2309,71 @@ export interface operations {
             };
         };
     };
+    session_events: {
+        parameters: {
+            query?: {
+                /** @description Only this machine. */
+                machine?: string;
+                /** @description From here on, by the machines' clocks, RFC 3339. */
+                from?: string;
+                /** @description Before this, by the machines' clocks, RFC 3339. */
+                to?: string;
+                /** @description From one pose to the next, s; 0.2 if it is left out. Doubled until there are not too many poses. */
+                step_s?: number;
+            };
+            header?: {
+                /** @description Tags that the client has */
+                "If-None-Match"?: string | null;
+            };
+            path: {
+                /** @description The session's id */
+                id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["EventsAnswer"];
+                };
+            };
+            /** @description The client has it */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
     export: {
         parameters: {
             query: {
@@ -2108,6 +2553,71 @@ export interface operations {
                 };
             };
             503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    session_track: {
+        parameters: {
+            query?: {
+                /** @description Only this machine. */
+                machine?: string;
+                /** @description From here on, by the machines' clocks, RFC 3339. */
+                from?: string;
+                /** @description Before this, by the machines' clocks, RFC 3339. */
+                to?: string;
+                /** @description From one pose to the next, s; 0.2 if it is left out. Doubled until there are not too many poses. */
+                step_s?: number;
+            };
+            header?: {
+                /** @description Tags that the client has */
+                "If-None-Match"?: string | null;
+            };
+            path: {
+                /** @description The session's id */
+                id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["TrackAnswer"];
+                };
+            };
+            /** @description The client has it */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            500: {
                 headers: {
                     [name: string]: unknown;
                 };

@@ -58,7 +58,7 @@ export function Header({ view }: { view: View | null }) {
         </time>
       </span>
       <details class="menu">
-        <summary aria-label={text.account.menu}>
+        <summary title={text.account.menu}>
           {me.value !== null && me.value !== "nobody" && me.value.name !== null
             ? me.value.name
             : text.account.options}
