@@ -11,8 +11,8 @@ export class Demo {
   /** What the demo printed on stdout and stderr, for the report of a failure. */
   output = "";
 
-  constructor(binary, data) {
-    this.child = spawn(binary, ["demo", "--listen", "127.0.0.1:0", "--data", data], {
+  constructor(binary, data, listen = "127.0.0.1:0") {
+    this.child = spawn(binary, ["demo", "--listen", listen, "--data", data], {
       stdio: ["ignore", "pipe", "pipe"],
     });
     this.ended = once(this.child, "exit").then(([code, signal]) => ({ code, signal }));

@@ -293,6 +293,43 @@ async function ending(origin, account) {
     const { size } = await stat(join(data, "sessions", files[0]));
     if (size < 10_000) throw new Error(`${files[0]} has ${size} bytes`);
   });
+  await again(origin, watched);
+}
+
+/** The site is started again, at the same address and with the same data. */
+async function again(origin, watched) {
+  const next = new Demo(options.holdfast, data, new URL(origin).host);
+  try {
+    await checks.check("the page finds the site again by itself, with a picture of its own", async () => {
+      await next.address();
+      await watched.until(
+        () =>
+          document.querySelector('[data-link="open"]') !== null &&
+          document.querySelector('[data-banner="link"]') === null &&
+          document.querySelectorAll('.card[data-presence="online"]').length === 2,
+        undefined,
+        FIXED_WITHIN_MS,
+      );
+    });
+    await checks.check("outages and recordings of before are still there, and are replayed", async () => {
+      await watched.page.goto(`${origin}/outages`);
+      await watched.page.locator("[data-outage]").first().waitFor({ timeout: 15_000 });
+      await watched.page.goto(`${origin}/sessions`);
+      const before = watched.page.locator(".session", { hasText: "complete" }).last();
+      await before.getByRole("link", { name: "Replay" }).click();
+      await watched.page.locator("[data-recorded]").waitFor({ timeout: 30_000 });
+      const { note } = await watched.page.evaluate(() => ({
+        note: document.querySelector(".recorded-bar").textContent,
+      }));
+      return !note.includes("still recording");
+    });
+    await next.interrupt(END_WITHIN_MS);
+  } catch (error) {
+    console.error(next.output);
+    throw error;
+  } finally {
+    next.destroy();
+  }
 }
 
 async function noFindings(watched) {

@@ -22,7 +22,9 @@ export function AlertBar() {
         {alertWords(first, store.calm.value.machines.get(first.machine ?? "")?.view.name)}
       </a>
       <span class="alert-when">
-        {text.alerts.since(format.timeOfDay(Date.parse(first.raised)))}
+        {first.cleared === null
+          ? text.alerts.since(format.timeOfDay(Date.parse(first.raised)))
+          : text.alerts.cleared(format.timeOfDay(Date.parse(first.cleared)))}
         {more.length > 0 && ` · ${text.alerts.more(more.length)}`}
       </span>
     </div>

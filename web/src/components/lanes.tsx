@@ -99,17 +99,45 @@ export function Lanes({ lanes, span, now, onPick, wide = false }: LanesProps) {
           </div>
         </div>
       ))}
+      <LaneLegend lanes={lanes} />
     </div>
   );
+}
+
+/** What the colours mean, of those that are there. */
+function LaneLegend({ lanes }: { lanes: Lane[] }) {
+  const found = new Map<string, Segment>();
+  for (const { segments } of lanes) {
+    for (const segment of segments) found.set(`${segment.colour} ${nameOf(segment)}`, segment);
+  }
+  if (found.size === 0) return null;
+  return (
+    <ul class="lane-legend" aria-hidden="true">
+      {[...found].map(([key, segment]) => (
+        <li key={key}>
+          <i
+            class={segment.unknown ? "segment-unknown" : ""}
+            style={{ "--segment": `var(${segment.colour})` }}
+          />
+          {nameOf(segment)}
+        </li>
+      ))}
+    </ul>
+  );
+}
+
+/** What a segment is about; details follow after a comma. */
+function nameOf({ label }: Segment): string {
+  return label.split(",")[0] ?? label;
 }
 
 /** The lane in words: the share of time of each thing. */
 function LaneWords({ lane, length }: { lane: Lane; length: number }) {
   const { format } = useSpeech();
   const shares = new Map<string, number>();
-  for (const { label, from_s, to_s } of lane.segments) {
-    const name = label.split(",")[0] ?? label;
-    shares.set(name, (shares.get(name) ?? 0) + (to_s - from_s));
+  for (const segment of lane.segments) {
+    const name = nameOf(segment);
+    shares.set(name, (shares.get(name) ?? 0) + (segment.to_s - segment.from_s));
   }
   const words = [...shares]
     .slice(0, 12)

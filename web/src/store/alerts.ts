@@ -6,11 +6,14 @@ import type { AlertView } from "../api/alerts";
 
 const open = signal<readonly AlertView[]>([]);
 
-/** The gravest first, then the newest. */
+/** Those that go on first, of them the gravest, then the newest. */
 export const openAlerts: ReadonlySignal<readonly AlertView[]> = computed(() => {
   const rank = { critical: 0, warning: 1, info: 2 };
   return [...open.value].sort(
-    (a, b) => rank[a.severity] - rank[b.severity] || Date.parse(b.raised) - Date.parse(a.raised),
+    (a, b) =>
+      Number(a.cleared !== null) - Number(b.cleared !== null) ||
+      rank[a.severity] - rank[b.severity] ||
+      Date.parse(b.raised) - Date.parse(a.raised),
   );
 });
 

@@ -218,6 +218,7 @@ export const de: Text = {
     silent: (since) => `KEINE DATEN ${since}`,
     notYet: "NOCH NICHT GEHÖRT",
     noData: "keine Daten",
+    silence: (lasted) => `${lasted} lang nichts gehört`,
     unfinished: "läuft noch: bis jetzt",
     toLive: "Zurück zu live",
     controls: "Wiedergabe",

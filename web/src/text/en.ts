@@ -216,6 +216,7 @@ export const en = {
     silent: (since: string) => `NO DATA ${since}`,
     notYet: "NOT YET HEARD",
     noData: "no data",
+    silence: (lasted: string) => `nothing heard for ${lasted}`,
     unfinished: "still recording: up to now",
     toLive: "Back to live",
     controls: "Replay",

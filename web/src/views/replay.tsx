@@ -10,11 +10,12 @@ import { eventColour, eventWords, isMark } from "../components/events";
 import { type Lane, Lanes } from "../components/lanes";
 import { MachineList } from "../components/machine-list";
 import { gnssSegments, StateLanes, StatePlots } from "../components/state-plots";
+import type { Format } from "../format";
 import { Plan } from "../plan/plan";
 import { note, paths } from "../route";
 import { type Choices, DeskContext, useDesk } from "../store/context";
 import { ReplayStore } from "../store/replay";
-import { useSpeech } from "../text";
+import { type Text, useSpeech } from "../text";
 import { useSitePlan } from "./live";
 
 const SPEEDS = [0.5, 1, 2, 4, 8, 16, 32] as const;
@@ -130,12 +131,8 @@ function Player({ answer, events, site, query }: PlayerProps) {
   });
 
   const marks = useMemo(
-    () =>
-      (events?.events ?? []).filter(isMark).map((event) => ({
-        ...event,
-        time_s: (Date.parse(event.time) - start_ms) / 1000,
-      })),
-    [events, start_ms],
+    () => marksOf(answer, events?.events ?? [], start_ms, text, format),
+    [answer, events, start_ms, text, format],
   );
   const jump = (forward: boolean) => {
     const at_s = replay.time_s.peek() + LEAD_S;
@@ -194,15 +191,9 @@ function Player({ answer, events, site, query }: PlayerProps) {
             unknown: true,
           })),
         ],
-        marks: marks
-          .filter((event) => event.machine === machine.id)
-          .map((event) => ({
-            time_s: event.time_s,
-            label: eventWords(event.event, text, format),
-            colour: eventColour(event.event),
-          })),
+        marks: marks.filter((mark) => mark.machine === machine.id),
       })),
-    [answer, marks, text, format],
+    [answer, marks, text],
   );
   const selected = own.selected.value;
   const machine = answer.machines.find(({ id }) => id === selected) ?? answer.machines[0];
@@ -228,6 +219,7 @@ function Player({ answer, events, site, query }: PlayerProps) {
             left_out={events?.left_out ?? 0}
             names={new Map(answer.machines.map(({ id, name }) => [id, name]))}
             now_s={replay.calm.value.now_ms / 1000}
+            start_ms={start_ms}
             onPick={(event) => {
               own.selected.value = event.machine;
               seek(event.time_s - LEAD_S);
@@ -310,6 +302,45 @@ function Player({ answer, events, site, query }: PlayerProps) {
   );
 }
 
+/** A moment that one would jump to. */
+interface Mark {
+  /** Since the start of the recording. */
+  time_s: number;
+  machine: string;
+  /** In words. */
+  label: string;
+  colour: string;
+}
+
+/** What machines told, and where nothing was heard of them. */
+function marksOf(
+  answer: TrackAnswer,
+  events: readonly SessionEvent[],
+  start_ms: number,
+  text: Text,
+  format: Format,
+): Mark[] {
+  const told = events.filter(isMark).map(
+    (event): Mark => ({
+      time_s: (Date.parse(event.time) - start_ms) / 1000,
+      machine: event.machine,
+      label: eventWords(event.event, text, format),
+      colour: eventColour(event.event),
+    }),
+  );
+  const silent = answer.machines.flatMap(({ id, silences }) =>
+    silences.map(
+      ({ from_s, to_s }): Mark => ({
+        time_s: from_s,
+        machine: id,
+        label: text.replay.silence(format.span(to_s - from_s)),
+        colour: "--offline",
+      }),
+    ),
+  );
+  return [...told, ...silent].sort((a, b) => a.time_s - b.time_s);
+}
+
 /** The plots by the time of day. */
 function AbsolutePlots({
   machine,
@@ -383,13 +414,15 @@ function EventList({
   left_out,
   names,
   now_s,
+  start_ms,
   onPick,
 }: {
-  events: (SessionEvent & { time_s: number })[];
+  events: Mark[];
   left_out: number;
   names: Map<string, string>;
   now_s: number;
-  onPick(event: SessionEvent & { time_s: number }): void;
+  start_ms: number;
+  onPick(event: Mark): void;
 }) {
   const { text, format } = useSpeech();
   return (
@@ -400,16 +433,16 @@ function EventList({
       {events.length === 0 && <p class="empty">{text.replay.noEvents}</p>}
       <ol class="event-list">
         {events.slice(0, EVENTS_SHOWN).map((event) => (
-          <li key={`${event.time} ${event.machine} ${event.event.kind} ${event.event.to ?? ""}`}>
+          <li key={`${event.time_s} ${event.machine} ${event.label}`}>
             <button
               type="button"
               class={Math.abs(event.time_s - now_s - LEAD_S) < 1 ? "event event-now" : "event"}
               onClick={() => onPick(event)}
             >
-              <i style={{ "--segment": `var(${eventColour(event.event)})` }} aria-hidden="true" />
-              <time>{format.tick(Date.parse(event.time), 1)}</time>
+              <i style={{ "--segment": `var(${event.colour})` }} aria-hidden="true" />
+              <time>{format.tick(start_ms + event.time_s * 1000, 1)}</time>
               <span>
-                <b>{names.get(event.machine) ?? event.machine}</b> {eventWords(event.event, text, format)}
+                <b>{names.get(event.machine) ?? event.machine}</b> {event.label}
               </span>
             </button>
           </li>
