@@ -5,6 +5,7 @@ mod api;
 mod assets;
 mod download;
 mod export;
+mod foxglove;
 mod guard;
 mod live;
 mod metrics;
@@ -34,6 +35,7 @@ use super::alerts::{Acknowledge, Channel};
 use super::clock::SiteClock;
 use super::counters::Counters;
 use super::ended;
+use super::foxglove::Feeds;
 use super::history::Archive;
 use super::sessions::{Catalogue, Command, Progress};
 use crate::fleet::Alert;
@@ -45,6 +47,7 @@ use problem::Problem;
 #[derive(Clone)]
 pub(super) struct Shared {
     pub frames: watch::Receiver<Arc<Frame>>,
+    pub feeds: Feeds,
     pub counters: Arc<Counters>,
     pub catalogue: Arc<Catalogue>,
     pub session: zenoh::Session,
@@ -118,6 +121,7 @@ fn router(shared: Shared) -> Router {
         .routes(routes!(download::recording))
         .routes(routes!(export::export))
         .routes(routes!(live::live))
+        .routes(routes!(foxglove::foxglove))
         .routes(routes!(ready::healthz))
         .routes(routes!(ready::readyz))
         .routes(routes!(metrics::metrics));
