@@ -1,5 +1,6 @@
 //! The site's HTTP door: API, live WebSocket, metrics, page. Reads the newest frame; asks nothing back.
 
+mod aemp;
 mod alerts;
 mod api;
 mod assets;
@@ -122,6 +123,7 @@ fn router(shared: Shared) -> Router {
         .routes(routes!(export::export))
         .routes(routes!(live::live))
         .routes(routes!(foxglove::foxglove))
+        .routes(routes!(aemp::fleet))
         .routes(routes!(ready::healthz))
         .routes(routes!(ready::readyz))
         .routes(routes!(metrics::metrics));
