@@ -6,6 +6,7 @@
 //! Zenoh callbacks ── try_send ─▶ aggregator (owns the fleet) ── newest frame ─▶ API, live clients, metrics
 //!        │                                                                          ▲
 //!        └────────── try_send ─▶ recorder thread (room `sessions`) ── progress ─────┘
+//! aggregator ── a ring of messages ─▶ clients of the Foxglove protocol (room `foxglove`)
 //! ```
 //! Nothing waits for something behind it: full channels drop and count, live clients get the newest frame.
 
@@ -14,6 +15,7 @@ mod alerts;
 mod backfill;
 mod clock;
 mod counters;
+mod foxglove;
 mod history;
 mod http;
 mod inlet;
@@ -171,7 +173,8 @@ impl Site {
         let site_frame = *fleet.frame();
         let (frame_sender, frames) = watch::channel(Arc::new(aggregator::Frame::of(&fleet, 0, clock.now())));
         let outlets = aggregator::Outlets { frames: frame_sender, history: history.inlet() };
-        let aggregator = aggregator::run(fleet, messages, tokens, outlets, clock, stopped.clone());
+        let (feed, feeds) = foxglove::Feed::new();
+        let aggregator = aggregator::run(fleet, messages, tokens, outlets, feed, clock, stopped.clone());
         let backfill = recorder.as_ref().map(|recorder| {
             let outlets = backfill::Outlets {
                 session: session.clone(),
@@ -197,6 +200,7 @@ impl Site {
         let watching = alerts::start(&config.alerts, channels, surroundings);
         let shared = http::Shared {
             frames,
+            feeds,
             counters,
             catalogue,
             session: session.clone(),

@@ -1,10 +1,12 @@
 //! The site's HTTP door: API, live WebSocket, metrics, page. Reads the newest frame; asks nothing back.
 
+mod aemp;
 mod alerts;
 mod api;
 mod assets;
 mod download;
 mod export;
+mod foxglove;
 mod guard;
 mod live;
 mod metrics;
@@ -35,6 +37,7 @@ use super::alerts::{Acknowledge, Channel};
 use super::clock::SiteClock;
 use super::counters::Counters;
 use super::ended;
+use super::foxglove::Feeds;
 use super::history::Archive;
 use super::sessions::{Catalogue, Command, Progress};
 use crate::fleet::Alert;
@@ -46,6 +49,7 @@ use problem::Problem;
 #[derive(Clone)]
 pub(super) struct Shared {
     pub frames: watch::Receiver<Arc<Frame>>,
+    pub feeds: Feeds,
     pub counters: Arc<Counters>,
     pub catalogue: Arc<Catalogue>,
     pub session: zenoh::Session,
@@ -123,6 +127,8 @@ fn router(shared: Shared) -> Router {
         .routes(routes!(tracks::history))
         .routes(routes!(export::export))
         .routes(routes!(live::live))
+        .routes(routes!(foxglove::foxglove))
+        .routes(routes!(aemp::fleet))
         .routes(routes!(ready::healthz))
         .routes(routes!(ready::readyz))
         .routes(routes!(metrics::metrics));
