@@ -19,10 +19,12 @@
 
 mod link;
 mod machine;
+mod trail;
 mod view;
 
 use std::collections::BTreeMap;
 
+pub use trail::{TRAIL_POINTS_MAX, TrailPoint, Trails};
 pub use view::{
     Ellipse95, FleetView, HealthView, LinkView, MachineView, PoseView, Presence, SIGMAS_95, Severity,
     SiteView, UtcTime, WorldView,
