@@ -191,7 +191,9 @@ fn position(point: &Value, left: &mut usize) -> Result<(), String> {
     match numbers.as_deref() {
         Some([longitude, latitude, ..]) if longitude.abs() <= 180.0 && latitude.abs() <= 90.0 => {}
         _ => {
-            return Err(format!(" has {point:.80}, must be [longitude, latitude] in degrees, or with height"));
+            return Err(format!(
+                " has {point:.80}, must be [longitude, latitude] in degrees, or with height"
+            ));
         }
     }
     *left = left.checked_sub(1).ok_or_else(|| format!(": there are more than {POSITIONS_MAX} points"))?;

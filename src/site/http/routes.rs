@@ -40,6 +40,12 @@ impl Needs {
         self.0.get(path)?.get(method.as_str()).copied()
     }
 
+    /// All paths.
+    #[cfg(test)]
+    pub fn paths(&self) -> impl Iterator<Item = &str> {
+        self.0.keys().map(String::as_str)
+    }
+
     /// The methods that a path answers to, as the header `Allow` has them; `None` if there is no such path.
     pub fn allowed(&self, path: &str) -> Option<String> {
         let methods = self.0.get(path)?.keys();
