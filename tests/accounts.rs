@@ -200,13 +200,9 @@ async fn pages_of_others_change_nothing_with_a_visitor_s_cookie() {
     let others = [by_cookie, ("Origin", "http://evil.example")];
     let others = exchange(address, "GET", "/api/v1/fleet", &others).await;
     assert_eq!(others.header("access-control-allow-origin"), "", "no page elsewhere can read it");
-    let foreign = send(
-        address,
-        "POST",
-        "/api/v1/sign-in",
-        &[("Origin", "http://evil.example")],
-        &json!({"name": "anna", "password": PASSWORD}),
-    );
+    let (body, foreign) =
+        (json!({"name": "anna", "password": PASSWORD}), [("Origin", "http://evil.example")]);
+    let foreign = send(address, "POST", "/api/v1/sign-in", &foreign, &body);
     assert_eq!(foreign.await.status, 403, "nobody is signed in by another page");
 
     // Signed out: the cookie is worth nothing any more.

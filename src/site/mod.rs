@@ -247,7 +247,7 @@ pub fn may_listen(http: &config::Http, accounts: &Accounts, key: &str) -> Result
         key: key.to_owned(),
         message: format!(
             "is {}: {why}, and there is no account yet; make one with `holdfast site user add NAME --role admin \
-             --data {directory}`, or serve this computer alone, such as on 127.0.0.1:{}",
+             --data {directory}`, or listen on a loopback address such as 127.0.0.1:{}",
             http.listen,
             http.listen.port()
         ),

@@ -71,11 +71,15 @@ describe("the list of recordings", () => {
       missed: 3,
       next_session: null,
     };
-    expect(checkSessions({ recording, sessions: [session] })).toEqual({ recording, sessions: [session] });
-    expect(() => checkSessions({ recording, sessions: [{ ...session, state: "lost" }] })).toThrow(
+    expect(checkSessions({ recording, sessions: [session], next: null })).toEqual({
+      recording,
+      sessions: [session],
+      next: null,
+    });
+    expect(() => checkSessions({ recording, sessions: [{ ...session, state: "lost" }], next: null })).toThrow(
       "sessions.sessions[0].state",
     );
-    expect(() => checkSessions({ recording: { ...recording, why: 1 }, sessions: [] })).toThrow(
+    expect(() => checkSessions({ recording: { ...recording, why: 1 }, sessions: [], next: null })).toThrow(
       "sessions.recording.why",
     );
   });

@@ -16,7 +16,7 @@ use crate::fleet::UtcTime;
 #[serde(deny_unknown_fields)]
 pub(super) struct Page {
     limit: Option<u32>,
-    pub cursor: Option<String>,
+    cursor: Option<String>,
 }
 
 /// The most entries of one answer.
@@ -25,6 +25,16 @@ pub(super) const LIMIT_MAX: u32 = 1000;
 pub(super) const LIMIT_DEFAULT: u32 = 100;
 
 impl Page {
+    /// From where on.
+    pub fn cursor(&self) -> Result<Option<&str>, Problem> {
+        match self.cursor.as_deref() {
+            Some(cursor) if !(1..=64).contains(&cursor.chars().count()) => {
+                Err(Problem::new(StatusCode::BAD_REQUEST, "the cursor is none of ours"))
+            }
+            cursor => Ok(cursor),
+        }
+    }
+
     /// How many.
     pub fn limit(&self) -> Result<usize, Problem> {
         let limit = self.limit.unwrap_or(LIMIT_DEFAULT);
@@ -68,7 +78,7 @@ pub(super) struct ChangesView {
 }
 
 /// Who changed what, when and from where. The newest 100 000 are kept.
-#[utoipa::path(get, path = "/api/v1/audit", tag = "accounts",
+#[utoipa::path(get, path = "/api/v1/audit", operation_id = "list_changes", tag = "accounts",
     params(("limit" = Option<u32>, Query, description = "So many at most: 100 if it is left out", minimum = 1,
             maximum = 1000),
         ("cursor" = Option<String>, Query, description = "`next` of the answer before", pattern = "^[0-9]{1,18}$")),
@@ -78,16 +88,13 @@ pub(super) async fn list(
     Parameters(page): Parameters<Page>,
 ) -> Result<Json<ChangesView>, Problem> {
     let limit = page.limit()?;
-    let before = match &page.cursor {
+    let before = match page.cursor()? {
         None => None,
         Some(cursor) if cursor.len() <= 18 && cursor.bytes().all(|byte| byte.is_ascii_digit()) => {
             cursor.parse::<i64>().ok()
         }
         Some(_) => return Err(Problem::new(StatusCode::BAD_REQUEST, "the cursor is none of ours")),
     };
-    if page.cursor.is_some() && before.is_none() {
-        return Err(Problem::new(StatusCode::BAD_REQUEST, "the cursor is empty"));
-    }
     let changes = ask(&shared.people, move |people| people.accounts.changes(before, limit)).await?;
     let next = changes.last().filter(|(number, _)| changes.len() == limit && *number > 1);
     let next = next.map(|(number, _)| number.to_string());

@@ -61,6 +61,10 @@ pub(super) fn json<T: DeserializeOwned>(
     if body.is_empty() {
         return Ok(None);
     }
+    // Of a list, its items would be taken for the fields in order.
+    if body.iter().find(|byte| !byte.is_ascii_whitespace()) != Some(&b'{') {
+        return Err(Problem::new(StatusCode::BAD_REQUEST, "the body must be a JSON object"));
+    }
     let wrong =
         |error: serde_json::Error| Problem::new(StatusCode::BAD_REQUEST, format!("the body: {error}"));
     serde_json::from_slice(&body).map(Some).map_err(wrong)

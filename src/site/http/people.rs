@@ -136,7 +136,7 @@ pub(super) async fn me(visitor: Visitor) -> Result<Json<MeView>, Problem> {
 }
 
 /// Changes one's own password, and ends all sign-ins of the account.
-#[utoipa::path(put, path = "/api/v1/me/password", tag = "accounts", request_body = PasswordChange,
+#[utoipa::path(put, path = "/api/v1/me/password", operation_id = "change_password", tag = "accounts", request_body = PasswordChange,
     responses((status = NO_CONTENT, description = "Changed; sign in anew"),
         (status = CONFLICT, description = "There are no accounts", body = Problem,
             content_type = "application/problem+json"),
@@ -158,7 +158,7 @@ pub(super) async fn password(
 }
 
 /// A ticket with which a program that can send no headers opens one WebSocket: `/api/v1/live?ticket=`.
-#[utoipa::path(post, path = "/api/v1/live-ticket", tag = "accounts",
+#[utoipa::path(post, path = "/api/v1/live-ticket", operation_id = "live_ticket", tag = "accounts",
     responses((status = CREATED, body = TicketView)))]
 pub(super) async fn ticket(State(shared): State<Shared>, visitor: Visitor) -> Result<Response, Problem> {
     let ticket = shared.people.ticket(&visitor)?.reveal().to_owned();

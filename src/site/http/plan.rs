@@ -88,7 +88,7 @@ pub(super) async fn plan(State(shared): State<Shared>, headers: HeaderMap) -> Re
 
 /// Gives the site another plan: a GeoJSON feature collection (RFC 7946) in WGS84, 4 MiB and 200 000 points at most.
 /// With `If-Match`, only if the plan is still the one that was seen.
-#[utoipa::path(put, path = "/api/v1/plan", tag = "fleet",
+#[utoipa::path(put, path = "/api/v1/plan", operation_id = "put_plan", tag = "fleet",
     params(("If-Match" = Option<String>, Header, description = "Tag of the plan that was seen")),
     request_body(content((Object = "application/geo+json"), (Object = "application/json"))),
     responses((status = NO_CONTENT, description = "It is the plan now",

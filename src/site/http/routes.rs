@@ -9,6 +9,7 @@ use axum::http::Method;
 use axum::routing::MethodRouter;
 use utoipa::openapi::path::{Operation, PathItem};
 use utoipa::openapi::response::{Response, ResponseBuilder};
+use utoipa::openapi::schema::{Schema, SchemaType};
 use utoipa::openapi::security::{
     ApiKey, ApiKeyValue, HttpAuthScheme, HttpBuilder, SecurityRequirement, SecurityScheme,
 };
@@ -155,6 +156,16 @@ fn document(operation: &mut Operation, method: &str, need: Need) {
     }
     if operation.request_body.is_some() {
         known.extend([("413", "TooLarge"), ("415", "WrongType")]);
+    }
+    // What is left out is not there: nobody sends a parameter that is `null`.
+    for parameter in operation.parameters.iter_mut().flatten() {
+        if let RefOr::T(parameter) = parameter
+            && let Some(RefOr::T(Schema::Object(schema))) = &mut parameter.schema
+            && let SchemaType::Array(types) = &schema.schema_type
+            && let Some(only) = types.iter().find(|kind| **kind != Type::Null)
+        {
+            schema.schema_type = SchemaType::Type(only.clone());
+        }
     }
     for (status, name) in known {
         let reference = RefOr::Ref(Ref::from_response_name(name));

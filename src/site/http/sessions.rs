@@ -34,7 +34,7 @@ pub(super) struct SessionsView {
 }
 
 /// Recordings, and whether what arrives is recorded.
-#[utoipa::path(get, path = "/api/v1/sessions", tag = "sessions",
+#[utoipa::path(get, path = "/api/v1/sessions", operation_id = "list_sessions", tag = "sessions",
     params(("limit" = Option<u32>, Query, description = "So many at most: 100 if it is left out", minimum = 1,
             maximum = 1000),
         ("cursor" = Option<String>, Query, description = "`next` of the answer before", min_length = 1,
@@ -51,8 +51,8 @@ pub(super) async fn list(
     let recording = RecordingView::of(shared.progress().as_ref());
     let mut sessions = ask(&shared, |catalogue, progress| catalogue.list(progress)).await?;
     // Their ids are in the order of their starts, so that a cursor stays right when sessions come and go.
-    if let Some(cursor) = page.cursor {
-        sessions.retain(|session| session.id < cursor);
+    if let Some(cursor) = page.cursor()? {
+        sessions.retain(|session| session.id.as_str() < cursor);
     }
     let more = sessions.len() > limit;
     sessions.truncate(limit);
@@ -77,7 +77,7 @@ pub(super) async fn session(
 }
 
 /// Starts a session; the one that runs ends, and no message is lost in between.
-#[utoipa::path(post, path = "/api/v1/sessions", tag = "sessions",
+#[utoipa::path(post, path = "/api/v1/sessions", operation_id = "start_session", tag = "sessions",
     request_body(content = Option<NotesChange>, description = "What it is called; may be left out"),
     responses(
         (status = CREATED, body = SessionView, headers(("Location" = String, description = "The session"))),
@@ -104,7 +104,7 @@ pub(super) async fn start(
 }
 
 /// Ends the session that runs. Nothing is recorded until another one is started, or begins by itself.
-#[utoipa::path(post, path = "/api/v1/sessions/{id}/stop", tag = "sessions",
+#[utoipa::path(post, path = "/api/v1/sessions/{id}/stop", operation_id = "stop_session", tag = "sessions",
     params(("id" = String, Path, description = "The session's id", min_length = 1, max_length = 64)),
     responses((status = OK, body = SessionView),
         (status = NOT_FOUND, body = Problem, content_type = "application/problem+json"),
@@ -122,7 +122,7 @@ pub(super) async fn stop(
 }
 
 /// Writes name, notes or tags of a session; what is left out stays as it is.
-#[utoipa::path(patch, path = "/api/v1/sessions/{id}", tag = "sessions",
+#[utoipa::path(patch, path = "/api/v1/sessions/{id}", operation_id = "edit_session", tag = "sessions",
     params(("id" = String, Path, description = "The session's id", min_length = 1, max_length = 64)),
     request_body = NotesChange,
     responses((status = OK, body = SessionView),

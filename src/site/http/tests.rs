@@ -69,8 +69,11 @@ fn every_route_states_its_least_role_and_documents_it() {
 fn every_error_of_the_document_is_a_problem_and_every_reference_leads_somewhere() {
     let (_, _, document) = routes().finish();
     let document: Value = serde_json::to_value(&document).expect("JSON");
+    let mut ids = std::collections::BTreeSet::new();
     for (path, method, operation) in operations(&document) {
-        assert!(operation["operationId"].is_string() && operation["summary"].is_string(), "{method} {path}");
+        let id = operation["operationId"].as_str().expect("an id").to_owned();
+        assert!(ids.insert(id), "{method} {path}: generated clients name their functions by it");
+        assert!(operation["summary"].is_string(), "{method} {path}");
         for (status, response) in operation["responses"].as_object().expect("responses") {
             let target = response["$ref"].as_str().map(|reference| {
                 document.pointer(reference.trim_start_matches('#')).expect("a response of that name")
@@ -85,6 +88,14 @@ fn every_error_of_the_document_is_a_problem_and_every_reference_leads_somewhere(
             );
         }
     }
+}
+
+#[test]
+fn the_page_s_types_are_made_of_the_document_that_is_served() {
+    let (_, _, document) = routes().finish();
+    let served: Value = serde_json::to_value(&document).expect("JSON");
+    let saved: Value = serde_json::from_str(include_str!("../../../web/openapi.json")).expect("JSON");
+    assert!(served == saved, "save the server's /api/openapi.json as web/openapi.json, then: npm run types");
 }
 
 /// Serves a router behind the guard; returns the status and the text of one answer.

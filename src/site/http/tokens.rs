@@ -15,7 +15,7 @@ use super::input::{json_needed, malformed};
 use super::people::ask;
 use super::problem::Problem;
 use super::visitor::Visitor;
-use crate::accounts::{By, Role, Token};
+use crate::accounts::{By, Role, TOKEN_DAYS_MAX, Token};
 use crate::fleet::UtcTime;
 use crate::time::Span;
 
@@ -94,7 +94,7 @@ impl From<Token> for TokenView {
 }
 
 /// One's own tokens; for admins those of all.
-#[utoipa::path(get, path = "/api/v1/tokens", tag = "accounts", responses((status = OK, body = TokensView)))]
+#[utoipa::path(get, path = "/api/v1/tokens", operation_id = "list_tokens", tag = "accounts", responses((status = OK, body = TokensView)))]
 pub(super) async fn list(
     State(shared): State<Shared>,
     visitor: Visitor,
@@ -105,7 +105,7 @@ pub(super) async fn list(
 }
 
 /// Makes a token. Its secret is in this answer only.
-#[utoipa::path(post, path = "/api/v1/tokens", tag = "accounts", request_body = NewToken,
+#[utoipa::path(post, path = "/api/v1/tokens", operation_id = "add_token", tag = "accounts", request_body = NewToken,
     responses(
         (status = CREATED, body = NewTokenView, headers(("Location" = String, description = "The token"))),
         (status = NOT_FOUND, description = "There is no such account", body = Problem,
@@ -130,11 +130,12 @@ pub(super) async fn add(
         return forbidden("tokens of others are for admins");
     }
     let days = days.unwrap_or(DAYS_DEFAULT);
-    if days == 0 {
-        return Err(Problem::new(StatusCode::BAD_REQUEST, "days is 0, must be at least 1"));
+    if !(1..=TOKEN_DAYS_MAX).contains(&days) {
+        let detail = format!("days is {days}, must be from 1 to {TOKEN_DAYS_MAX}");
+        return Err(Problem::new(StatusCode::BAD_REQUEST, detail));
     }
     let now = shared.people.now();
-    let mut expires = now + Span::from_seconds(86_400.0 * f64::from(days.min(1_000_000)));
+    let mut expires = now + Span::from_seconds(86_400.0 * f64::from(days));
     if let By::Token { expires: end, .. } = account.by {
         expires = expires.min(end);
     }
@@ -148,7 +149,7 @@ pub(super) async fn add(
 }
 
 /// Revokes a token: one's own, or as admin anybody's.
-#[utoipa::path(delete, path = "/api/v1/tokens/{id}", tag = "accounts",
+#[utoipa::path(delete, path = "/api/v1/tokens/{id}", operation_id = "revoke_token", tag = "accounts",
     params(("id" = String, Path, description = "The token's id", min_length = 1, max_length = 64)),
     responses((status = NO_CONTENT, description = "It is good no more"),
         (status = NOT_FOUND, body = Problem, content_type = "application/problem+json")))]

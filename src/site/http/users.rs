@@ -69,14 +69,14 @@ impl From<User> for UserView {
 }
 
 /// All accounts.
-#[utoipa::path(get, path = "/api/v1/users", tag = "accounts", responses((status = OK, body = UsersView)))]
+#[utoipa::path(get, path = "/api/v1/users", operation_id = "list_users", tag = "accounts", responses((status = OK, body = UsersView)))]
 pub(super) async fn list(State(shared): State<Shared>) -> Result<Json<UsersView>, Problem> {
     let users = ask(&shared.people, |people| people.accounts.users()).await?;
     Ok(Json(UsersView { users: users.into_iter().map(UserView::from).collect() }))
 }
 
 /// Makes an account.
-#[utoipa::path(post, path = "/api/v1/users", tag = "accounts", request_body = NewUser,
+#[utoipa::path(post, path = "/api/v1/users", operation_id = "add_user", tag = "accounts", request_body = NewUser,
     responses(
         (status = CREATED, body = UserView, headers(("Location" = String, description = "The account"))),
         (status = CONFLICT, description = "The name is taken, or there are no accounts yet: the first is made on \
@@ -98,7 +98,7 @@ pub(super) async fn add(
 }
 
 /// Changes role or password of an account. The only admin stays one.
-#[utoipa::path(patch, path = "/api/v1/users/{name}", tag = "accounts",
+#[utoipa::path(patch, path = "/api/v1/users/{name}", operation_id = "edit_user", tag = "accounts",
     params(("name" = String, Path, description = "Of the account", min_length = 1, max_length = 64)),
     request_body = UserChange,
     responses((status = OK, body = UserView),
@@ -136,7 +136,7 @@ pub(super) async fn edit(
 }
 
 /// Removes an account with its tokens and sign-ins. The only admin stays.
-#[utoipa::path(delete, path = "/api/v1/users/{name}", tag = "accounts",
+#[utoipa::path(delete, path = "/api/v1/users/{name}", operation_id = "remove_user", tag = "accounts",
     params(("name" = String, Path, description = "Of the account", min_length = 1, max_length = 64)),
     responses((status = NO_CONTENT, description = "It is gone"),
         (status = NOT_FOUND, body = Problem, content_type = "application/problem+json"),

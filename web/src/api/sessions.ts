@@ -4,7 +4,7 @@ import { checkSessions } from "./check";
 import type { SessionsView } from "./types";
 
 export async function fetchSessions(): Promise<SessionsView> {
-  const response = await fetch("/api/v1/sessions", {
+  const response = await fetch("/api/v1/sessions?limit=1000", {
     headers: { accept: "application/json" },
     cache: "no-store",
     signal: AbortSignal.timeout(10_000),

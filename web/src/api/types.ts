@@ -204,4 +204,5 @@ export interface SessionView {
 export interface SessionsView {
   recording: RecordingView;
   sessions: SessionView[];
+  next: string | null;
 }
