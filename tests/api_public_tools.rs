@@ -9,6 +9,8 @@ mod process;
 #[path = "support/required.rs"]
 mod required;
 
+use std::io::{Read as _, Write as _};
+use std::net::TcpStream;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
@@ -23,6 +25,17 @@ fn now() -> Stamp {
     Stamp::from_nanos(i64::try_from(since.as_nanos()).expect("before 2262"))
 }
 
+/// The document as the site serves it to who has the token.
+fn document(address: &str, token: &str) -> String {
+    let mut stream = TcpStream::connect(address).expect("connects");
+    let head = format!("GET /api/openapi.json HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n");
+    write!(stream, "{head}Authorization: Bearer {token}\r\n\r\n").expect("sent");
+    let mut text = String::new();
+    stream.read_to_string(&mut text).expect("read");
+    assert!(text.starts_with("HTTP/1.1 200"), "{text}");
+    text.split_once("\r\n\r\n").expect("a body").1.to_owned()
+}
+
 /// Runs Schemathesis; what it says, and whether it found nothing.
 fn schemathesis(
     python: &std::ffi::OsStr,
@@ -35,7 +48,8 @@ fn schemathesis(
         .args(["-m", "schemathesis.cli", "--config-file"])
         .arg(process::repository(SETTINGS))
         .arg("run")
-        .arg(format!("http://{address}/api/openapi.json"))
+        .arg("openapi.json")
+        .args(["--url", &format!("http://{address}")])
         .args(extra)
         .current_dir(folder)
         .env("HOLDFAST_TOKEN", token)
@@ -61,10 +75,18 @@ fn schemathesis_finds_no_server_error_and_no_undocumented_answer() {
 
     let holdfast = Path::new(env!("CARGO_BIN_EXE_holdfast"));
     let log = std::fs::File::create(folder.join("log")).expect("a log");
-    let mut site = process::site(holdfast, &folder, &data, Stdio::from(log));
+    // All at once, from one address.
+    let text = std::fs::read_to_string(process::repository("config/site.toml")).expect("a site file");
+    let text = text.replace("requests_per_s = 50.0", "requests_per_s = 100000.0");
+    std::fs::write(folder.join("site.toml"), text.replace("127.0.0.1:7447", "127.0.0.1:0")).expect("written");
+    let mut command = Command::new(holdfast);
+    command.args(["site", "--listen", "127.0.0.1:0", "--config"]).arg(folder.join("site.toml"));
+    command.arg("--data").arg(&data).stdout(Stdio::piped()).stderr(Stdio::from(log));
+    let mut site = process::Process::start(&mut command);
     let (address, endpoint) = site.addresses();
     let _machine = process::machine(holdfast, "walker-1", &endpoint, &folder.join("on-board"), "1");
 
+    std::fs::write(folder.join("openapi.json"), document(&address, token.reveal())).expect("written");
     let (found_nothing, said) = schemathesis(&python, &folder, &address, token.reveal(), &[]);
     let log = std::fs::read_to_string(folder.join("log")).expect("a log");
     assert!(found_nothing, "{said}\n{log}");

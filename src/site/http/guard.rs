@@ -120,7 +120,7 @@ impl Gate {
                     if method == Method::OPTIONS && page == Origin::Listed {
                         return Ok(Admitted::Preflight(allowed));
                     }
-                    self.known(request, Need::Least(Role::Viewer))?;
+                    self.known(request, self.needs.least(path))?;
                     let detail = format!("{} does not answer {method}", uri.path());
                     let allow = HeaderValue::from_str(&allowed).unwrap_or(HeaderValue::from_static(""));
                     return Err(Problem::new(StatusCode::METHOD_NOT_ALLOWED, detail).with(ALLOW, allow));

@@ -47,6 +47,12 @@ impl Needs {
         self.0.keys().map(String::as_str)
     }
 
+    /// What it needs to know what a path answers to: nothing, if everybody may use it.
+    pub fn least(&self, path: &str) -> Need {
+        let mut needs = self.0.get(path).into_iter().flat_map(BTreeMap::values);
+        if needs.any(|need| *need == Need::Nothing) { Need::Nothing } else { Need::Least(Role::Viewer) }
+    }
+
     /// The methods that a path answers to, as the header `Allow` has them; `None` if there is no such path.
     pub fn allowed(&self, path: &str) -> Option<String> {
         let methods = self.0.get(path)?.keys();

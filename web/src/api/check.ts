@@ -58,7 +58,10 @@ export const checkLiveMessage: Check<LiveMessage> = (value, path) => {
 };
 
 export function checkSessions(value: unknown): SessionsView {
-  return object<SessionsView>({ recording, sessions: list(session), next: nullable(text) })(value, "sessions");
+  return object<SessionsView>({ recording, sessions: list(session), next: nullable(text) })(
+    value,
+    "sessions",
+  );
 }
 
 function describe(value: unknown): string {

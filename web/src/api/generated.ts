@@ -4,6 +4,40 @@
  */
 
 export interface paths {
+    "/api/openapi.json": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** This document. */
+        get: operations["openapi"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/audit": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** Who changed what, when and from where. The newest 100 000 are kept. */
+        get: operations["list_changes"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/fleet": {
         parameters: {
             query?: never;
@@ -35,6 +69,23 @@ export interface paths {
         get: operations["live"];
         put?: never;
         post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/live-ticket": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /** A ticket with which a program that can send no headers opens one WebSocket: `/api/v1/live?ticket=`. */
+        post: operations["live_ticket"];
         delete?: never;
         options?: never;
         head?: never;
@@ -75,6 +126,81 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/machines/{id}/trajectory": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Where a machine was in the last hour, as it was live: a point a second, while it is online. Whole sessions are
+         *     in their recordings.
+         */
+        get: operations["trajectory"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/me": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** Who asks, and what it may do. */
+        get: operations["me"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/me/password": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        /** Changes one's own password, and ends all sign-ins of the account. */
+        put: operations["change_password"];
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/plan": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** The site plan as GeoJSON (RFC 7946) in WGS84; empty as long as nobody gave one. */
+        get: operations["plan"];
+        /**
+         * Gives the site another plan: a GeoJSON feature collection (RFC 7946) in WGS84, 4 MiB and 200 000 points at most.
+         *     With `If-Match`, only if the plan is still the one that was seen.
+         */
+        put: operations["put_plan"];
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/sessions": {
         parameters: {
             query?: never;
@@ -82,11 +208,11 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** All recordings, and whether what arrives is recorded. */
-        get: operations["list"];
+        /** Recordings, and whether what arrives is recorded. */
+        get: operations["list_sessions"];
         put?: never;
         /** Starts a session; the one that runs ends, and no message is lost in between. */
-        post: operations["start"];
+        post: operations["start_session"];
         delete?: never;
         options?: never;
         head?: never;
@@ -108,27 +234,7 @@ export interface paths {
         options?: never;
         head?: never;
         /** Writes name, notes or tags of a session; what is left out stays as it is. */
-        patch: operations["edit"];
-        trace?: never;
-    };
-    "/api/v1/sessions/{id}/export": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        /**
-         * The poses of a session's machines as a file for other programs: of the cabin IMU in the site, as they were published
-         *     live, each machine a track, in the order of their stamps. Of a running session, what is on the disk.
-         */
-        get: operations["export"];
-        put?: never;
-        post?: never;
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
+        patch: operations["edit_session"];
         trace?: never;
     };
     "/api/v1/sessions/{id}/recording.mcap": {
@@ -161,11 +267,116 @@ export interface paths {
         get?: never;
         put?: never;
         /** Ends the session that runs. Nothing is recorded until another one is started, or begins by itself. */
-        post: operations["stop"];
+        post: operations["stop_session"];
         delete?: never;
         options?: never;
         head?: never;
         patch?: never;
+        trace?: never;
+    };
+    "/api/v1/sign-in": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /** Signs in: the cookie of the answer is for the browser. Ends the sign-in of a cookie that is sent along. */
+        post: operations["sign_in"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/sign-out": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /** Ends the sign-in of the cookie, if there is one. */
+        post: operations["sign_out"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/tokens": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** One's own tokens; for admins those of all. */
+        get: operations["list_tokens"];
+        put?: never;
+        /** Makes a token. Its secret is in this answer only. */
+        post: operations["add_token"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/tokens/{id}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        post?: never;
+        /** Revokes a token: one's own, or as admin anybody's. */
+        delete: operations["revoke_token"];
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/users": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** All accounts. */
+        get: operations["list_users"];
+        put?: never;
+        /** Makes an account. */
+        post: operations["add_user"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/users/{name}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        post?: never;
+        /** Removes an account with its tokens and sign-ins. The only admin stays. */
+        delete: operations["remove_user"];
+        options?: never;
+        head?: never;
+        /** Changes role or password of an account. The only admin stays one. */
+        patch: operations["edit_user"];
         trace?: never;
     };
     "/healthz": {
@@ -223,6 +434,36 @@ export interface paths {
 export type webhooks = Record<string, never>;
 export interface components {
     schemas: {
+        /** @description A change that somebody made, or a try to sign in. */
+        ChangeView: {
+            /** @description From which address. */
+            from: string;
+            /**
+             * Format: int64
+             * @description Counts them.
+             */
+            number: number;
+            /** @description What came of it: a status, or words. */
+            outcome: string;
+            /**
+             * Format: date-time
+             * @description When.
+             */
+            time: string;
+            /** @description How that is known: `sign_in`, `token`, `nobody`, `command_line`. */
+            via: string;
+            /** @description What was asked for. */
+            what: string;
+            /** @description Who; empty where nobody has an account. */
+            who: string;
+        };
+        /** @description Changes. */
+        ChangesView: {
+            /** @description Newest first. */
+            changes: components["schemas"]["ChangeView"][];
+            /** @description The cursor of those before; `null` if there are none. */
+            next?: string | null;
+        };
         /** @description An ellipse in the horizontal plane. */
         Ellipse95: {
             /**
@@ -461,11 +702,57 @@ export interface components {
             /** @description In the order of their ids. */
             machines: components["schemas"]["MachineView"][];
         };
+        /** @description Who asks, and what it may do. */
+        MeView: {
+            /** @description Whether there are accounts. Without any, whoever reaches the server may do everything. */
+            accounts: boolean;
+            /**
+             * Format: date-time
+             * @description Until when the token is good.
+             */
+            expires?: string | null;
+            /** @description The account; `null` where there are none. */
+            name?: string | null;
+            /** @description What it may do now. */
+            role: components["schemas"]["Role"];
+            /** @description The token that was shown, if one was. */
+            token?: string | null;
+        };
         /**
          * @description What the estimate rests on.
          * @enum {string}
          */
         Mode: "initializing" | "main" | "fallback" | "imu_only";
+        /** @description A token that is to be made. */
+        NewToken: {
+            /**
+             * Format: int32
+             * @description Good for so many days: 90 if it is left out. One that is made with a token ends with that at the latest.
+             */
+            days?: number | null;
+            /** @description What it is for. */
+            label: string;
+            role?: components["schemas"]["Role"] | null;
+            /** @description Whose it is to be: one's own if it is left out. For admins only. */
+            user?: string | null;
+        };
+        /** @description A new token with its secret, which is shown this once. */
+        NewTokenView: {
+            /** @description To be sent as `Authorization: Bearer`. */
+            secret: string;
+            token: components["schemas"]["TokenView"];
+        };
+        /** @description An account that is to be made. */
+        NewUser: {
+            /** @description Letters, digits, '.', '_', '@' and '-'; its case does not matter. */
+            name: string;
+            /**
+             * Format: password
+             * @description 10 to 200 characters, and not the name.
+             */
+            password: string;
+            role: components["schemas"]["Role"];
+        };
         /** @description What is to be written to a session; what is left out stays as it is. */
         NotesChange: {
             /**
@@ -508,6 +795,19 @@ export interface components {
              * @description Way of the IMU since the start, m.
              */
             travelled_m: number;
+        };
+        /** @description A password for the one before. */
+        PasswordChange: {
+            /**
+             * Format: password
+             * @description From now on: 10 to 200 characters, and not the name.
+             */
+            new: string;
+            /**
+             * Format: password
+             * @description The one before.
+             */
+            old: string;
         };
         /** @description Where a machine is. */
         PoseView: {
@@ -634,6 +934,11 @@ export interface components {
             type: "subscribe";
         };
         /**
+         * @description What somebody may do: each role includes those before it.
+         * @enum {string}
+         */
+        Role: "viewer" | "operator" | "admin";
+        /**
          * @description Where a reading comes from; also the last part of its Zenoh key and the name of its log file.
          * @enum {string}
          */
@@ -719,6 +1024,8 @@ export interface components {
         };
         /** @description All sessions. */
         SessionsView: {
+            /** @description The cursor of those before; `null` if there are none. */
+            next?: string | null;
             /** @description What the recorder does. */
             recording: components["schemas"]["RecordingView"];
             /** @description Newest first. */
@@ -729,6 +1036,16 @@ export interface components {
          * @enum {string}
          */
         Severity: "good" | "warning" | "bad" | "offline";
+        /** @description Who wants to sign in. */
+        SignIn: {
+            /** @description Of the account. */
+            name: string;
+            /**
+             * Format: password
+             * @description Of the account.
+             */
+            password: string;
+        };
         /** @description The site. */
         SiteView: {
             /** @description As in keys. */
@@ -741,6 +1058,121 @@ export interface components {
             time_zone: string;
             /** @description Origin of the site frame. */
             world: components["schemas"]["WorldView"];
+        };
+        /** @description Opens one WebSocket. */
+        TicketView: {
+            /**
+             * Format: double
+             * @description It is good for so long, s.
+             */
+            good_s: number;
+            /** @description To be sent as the parameter `ticket`. */
+            ticket: string;
+        };
+        /** @description A token, without its secret. */
+        TokenView: {
+            /**
+             * Format: date-time
+             * @description When it was made.
+             */
+            created: string;
+            /**
+             * Format: date-time
+             * @description Until when it is good.
+             */
+            expires: string;
+            /** @description By which it is revoked. */
+            id: string;
+            /** @description What it is for. */
+            label: string;
+            /** @description What it may do, as long as its account may. */
+            role: components["schemas"]["Role"];
+            /**
+             * Format: date-time
+             * @description When it was last used, to a minute; `null` if never.
+             */
+            seen?: string | null;
+            /** @description Whose it is. */
+            user: string;
+        };
+        /** @description Tokens. */
+        TokensView: {
+            /** @description In the order of their accounts, then of age. */
+            tokens: components["schemas"]["TokenView"][];
+        };
+        /** @description Where a machine was at one time. */
+        TrailPoint: {
+            /**
+             * Format: double
+             * @description Of the cabin's x axis: 0 is the site's north, clockwise, [0, 360).
+             */
+            heading_deg: number;
+            /**
+             * Format: double
+             * @description Of the cabin IMU, degrees.
+             */
+            latitude_deg: number;
+            /**
+             * Format: double
+             * @description Of the cabin IMU, degrees.
+             */
+            longitude_deg: number;
+            mode?: components["schemas"]["Mode"] | null;
+            /** @description Of the cabin IMU in the site frame: east, north, up, m. */
+            position_m: number[];
+            /**
+             * Format: double
+             * @description The longer half axis of the ellipse in which it is with 95 % probability, m.
+             */
+            semi_major_m: number;
+            /**
+             * Format: date-time
+             * @description By the machine's stamps.
+             */
+            stamp: string;
+            /**
+             * Format: date-time
+             * @description When it arrived, by the site's clock.
+             */
+            time: string;
+        };
+        /** @description Where a machine was. */
+        TrajectoryView: {
+            /** @description The machine's id. */
+            machine: string;
+            /**
+             * Format: date-time
+             * @description `since` for those that follow; `null` if there are none yet.
+             */
+            next?: string | null;
+            /** @description Oldest first, one a second at most. */
+            points: components["schemas"]["TrailPoint"][];
+        };
+        /** @description What is to be changed of an account; what is left out stays as it is. */
+        UserChange: {
+            /**
+             * Format: password
+             * @description 10 to 200 characters, and not the name. Ends all sign-ins of the account.
+             */
+            password?: string | null;
+            role?: components["schemas"]["Role"] | null;
+        };
+        /** @description An account. */
+        UserView: {
+            /**
+             * Format: date-time
+             * @description When it was made.
+             */
+            created: string;
+            /** @description By which it signs in. */
+            name: string;
+            /** @description What it may do. */
+            role: components["schemas"]["Role"];
+        };
+        /** @description All accounts. */
+        UsersView: {
+            /** @description In the order of their names. */
+            users: components["schemas"]["UserView"][];
         };
         /** @description Origin of the site frame (ENU), WGS84. */
         WorldView: {
@@ -761,7 +1193,91 @@ export interface components {
             longitude_deg: number;
         };
     };
-    responses: never;
+    responses: {
+        /** @description A fault of the server */
+        Failed: {
+            headers: {
+                [name: string]: unknown;
+            };
+            content: {
+                "application/problem+json": components["schemas"]["Problem"];
+            };
+        };
+        /** @description The role does not reach, or the request comes from another origin */
+        Forbidden: {
+            headers: {
+                [name: string]: unknown;
+            };
+            content: {
+                "application/problem+json": components["schemas"]["Problem"];
+            };
+        };
+        /** @description The request is not as it should be */
+        Malformed: {
+            headers: {
+                [name: string]: unknown;
+            };
+            content: {
+                "application/problem+json": components["schemas"]["Problem"];
+            };
+        };
+        /** @description The server does not answer to this host name */
+        Misdirected: {
+            headers: {
+                [name: string]: unknown;
+            };
+            content: {
+                "application/problem+json": components["schemas"]["Problem"];
+            };
+        };
+        /** @description The body is too large */
+        TooLarge: {
+            headers: {
+                [name: string]: unknown;
+            };
+            content: {
+                "application/problem+json": components["schemas"]["Problem"];
+            };
+        };
+        /** @description Too many requests */
+        TooMany: {
+            headers: {
+                "Retry-After"?: string;
+                [name: string]: unknown;
+            };
+            content: {
+                "application/problem+json": components["schemas"]["Problem"];
+            };
+        };
+        /** @description The server cannot do it now */
+        Unavailable: {
+            headers: {
+                [name: string]: unknown;
+            };
+            content: {
+                "application/problem+json": components["schemas"]["Problem"];
+            };
+        };
+        /** @description Nobody who is known: sign in, or show a token */
+        Unknown: {
+            headers: {
+                "WWW-Authenticate"?: string;
+                [name: string]: unknown;
+            };
+            content: {
+                "application/problem+json": components["schemas"]["Problem"];
+            };
+        };
+        /** @description The body has another media type */
+        WrongType: {
+            headers: {
+                [name: string]: unknown;
+            };
+            content: {
+                "application/problem+json": components["schemas"]["Problem"];
+            };
+        };
+    };
     parameters: never;
     requestBodies: never;
     headers: never;
@@ -769,6 +1285,75 @@ export interface components {
 }
 export type $defs = Record<string, never>;
 export interface operations {
+    openapi: {
+        parameters: {
+            query?: never;
+            header?: {
+                /** @description Tags that the client has */
+                "If-None-Match"?: string;
+            };
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description OpenAPI 3.1 */
+            200: {
+                headers: {
+                    /** @description Changes with the document */
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": unknown;
+                };
+            };
+            /** @description The client has it */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
+        };
+    };
+    list_changes: {
+        parameters: {
+            query?: {
+                /** @description So many at most: 100 if it is left out */
+                limit?: number;
+                /** @description `next` of the answer before */
+                cursor?: string;
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ChangesView"];
+                };
+            };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            403: components["responses"]["Forbidden"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
+        };
+    };
     fleet: {
         parameters: {
             query?: never;
@@ -786,11 +1371,20 @@ export interface operations {
                     "application/json": components["schemas"]["FleetView"];
                 };
             };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
         };
     };
     live: {
         parameters: {
-            query?: never;
+            query?: {
+                /** @description From `POST /api/v1/live-ticket`, for those who can send neither cookie nor token */
+                ticket?: string;
+            };
             header?: never;
             path?: never;
             cookie?: never;
@@ -814,6 +1408,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            401: components["responses"]["Unknown"];
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -822,6 +1417,51 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            421: components["responses"]["Misdirected"];
+            426: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    live_ticket: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["TicketView"];
+                };
+            };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            403: components["responses"]["Forbidden"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
         };
     };
     machines: {
@@ -841,6 +1481,12 @@ export interface operations {
                     "application/json": components["schemas"]["MachinesView"];
                 };
             };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
         };
     };
     machine: {
@@ -863,6 +1509,8 @@ export interface operations {
                     "application/json": components["schemas"]["MachineView"];
                 };
             };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -871,9 +1519,54 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
         };
     };
-    list: {
+    trajectory: {
+        parameters: {
+            query?: {
+                /** @description Only points that arrived after that, RFC 3339 */
+                since?: string;
+                /** @description So many at most: 3600 if it is left out */
+                limit?: number;
+            };
+            header?: never;
+            path: {
+                /** @description The machine's id */
+                id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["TrajectoryView"];
+                };
+            };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
+        };
+    };
+    me: {
         parameters: {
             query?: never;
             header?: never;
@@ -887,12 +1580,199 @@ export interface operations {
                     [name: string]: unknown;
                 };
                 content: {
-                    "application/json": components["schemas"]["SessionsView"];
+                    "application/json": components["schemas"]["MeView"];
+                };
+            };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
+        };
+    };
+    change_password: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["PasswordChange"];
+            };
+        };
+        responses: {
+            /** @description Changed; sign in anew */
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            /** @description The old password is wrong */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description There are no accounts */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            413: components["responses"]["TooLarge"];
+            415: components["responses"]["WrongType"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
+        };
+    };
+    plan: {
+        parameters: {
+            query?: never;
+            header?: {
+                /** @description Tags that the client has */
+                "If-None-Match"?: string;
+            };
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    /** @description Changes with the plan */
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/geo+json": Record<string, never>;
+                };
+            };
+            /** @description The client has it */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
+        };
+    };
+    put_plan: {
+        parameters: {
+            query?: never;
+            header?: {
+                /** @description Tag of the plan that was seen */
+                "If-Match"?: string;
+            };
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/geo+json": Record<string, never>;
+                "application/json": Record<string, never>;
+            };
+        };
+        responses: {
+            /** @description It is the plan now */
+            204: {
+                headers: {
+                    /** @description Of the new plan */
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            403: components["responses"]["Forbidden"];
+            /** @description It was changed since */
+            412: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            413: components["responses"]["TooLarge"];
+            415: components["responses"]["WrongType"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
+            507: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
                 };
             };
         };
     };
-    start: {
+    list_sessions: {
+        parameters: {
+            query?: {
+                /** @description So many at most: 100 if it is left out */
+                limit?: number;
+                /** @description `next` of the answer before */
+                cursor?: string;
+            };
+            header?: {
+                /** @description Tags that the client has */
+                "If-None-Match"?: string;
+            };
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    /** @description Of this answer */
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["SessionsView"];
+                };
+            };
+            /** @description The client has it */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
+        };
+    };
+    start_session: {
         parameters: {
             query?: never;
             header?: never;
@@ -924,6 +1804,8 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            401: components["responses"]["Unknown"];
+            403: components["responses"]["Forbidden"];
             409: {
                 headers: {
                     [name: string]: unknown;
@@ -932,6 +1814,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            413: components["responses"]["TooLarge"];
             415: {
                 headers: {
                     [name: string]: unknown;
@@ -940,6 +1823,9 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
             503: {
                 headers: {
                     [name: string]: unknown;
@@ -961,7 +1847,10 @@ export interface operations {
     session: {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                /** @description Tags that the client has */
+                "If-None-Match"?: string;
+            };
             path: {
                 /** @description The session's id */
                 id: string;
@@ -972,12 +1861,23 @@ export interface operations {
         responses: {
             200: {
                 headers: {
+                    /** @description Of this answer */
+                    ETag?: string;
                     [name: string]: unknown;
                 };
                 content: {
                     "application/json": components["schemas"]["SessionDetail"];
                 };
             };
+            /** @description The client has it */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -986,9 +1886,13 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
         };
     };
-    edit: {
+    edit_session: {
         parameters: {
             query?: never;
             header?: never;
@@ -1020,6 +1924,8 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            401: components["responses"]["Unknown"];
+            403: components["responses"]["Forbidden"];
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -1028,6 +1934,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            413: components["responses"]["TooLarge"];
             415: {
                 headers: {
                     [name: string]: unknown;
@@ -1036,87 +1943,10 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            503: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["Problem"];
-                };
-            };
-            507: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["Problem"];
-                };
-            };
-        };
-    };
-    export: {
-        parameters: {
-            query: {
-                /** @description tum, csv, geojson, gpx or kml */
-                format: string;
-                /** @description Only this machine; a TUM file takes one */
-                machine?: string;
-                /** @description world (the default), or odom: smooth poses without places in WGS84, as tum or csv */
-                frame?: string;
-                /** @description At most so many poses a second; by default all */
-                rate_hz?: number;
-                /** @description Poses so many seconds apart are not joined by a line; by default 1 */
-                gap_s?: number;
-            };
-            header?: never;
-            path: {
-                /** @description The session's id */
-                id: string;
-            };
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            /** @description The file */
-            200: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "text/plain": string;
-                    "text/csv": string;
-                    "application/geo+json": string;
-                    "application/gpx+xml": string;
-                    "application/vnd.google-earth.kml+xml": string;
-                };
-            };
-            400: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["Problem"];
-                };
-            };
-            /** @description There is no such session, no such machine in it, or no pose */
-            404: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["Problem"];
-                };
-            };
-            /** @description The recording does not tell where the site is on the earth */
-            409: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["Problem"];
-                };
-            };
-            /** @description There are too many poses: ask for one machine */
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
             507: {
                 headers: {
                     [name: string]: unknown;
@@ -1135,7 +1965,11 @@ export interface operations {
             };
             header?: {
                 /** @description One range of bytes */
-                Range?: string | null;
+                Range?: string;
+                /** @description Only if the tag is still that; else the whole */
+                "If-Range"?: string;
+                /** @description Tags that the client has */
+                "If-None-Match"?: string;
             };
             path: {
                 /** @description The session's id */
@@ -1161,14 +1995,15 @@ export interface operations {
                     "application/octet-stream": number[];
                 };
             };
-            400: {
+            /** @description The client has it */
+            304: {
                 headers: {
                     [name: string]: unknown;
                 };
-                content: {
-                    "application/problem+json": components["schemas"]["Problem"];
-                };
+                content?: never;
             };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -1188,15 +2023,21 @@ export interface operations {
             };
             416: {
                 headers: {
+                    /** @description How long it is */
+                    "Content-Range"?: string;
                     [name: string]: unknown;
                 };
                 content: {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
         };
     };
-    stop: {
+    stop_session: {
         parameters: {
             query?: never;
             header?: never;
@@ -1216,6 +2057,9 @@ export interface operations {
                     "application/json": components["schemas"]["SessionView"];
                 };
             };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            403: components["responses"]["Forbidden"];
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -1232,6 +2076,9 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
             503: {
                 headers: {
                     [name: string]: unknown;
@@ -1240,6 +2087,359 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+        };
+    };
+    sign_in: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["SignIn"];
+            };
+        };
+        responses: {
+            200: {
+                headers: {
+                    /** @description The sign-in */
+                    "Set-Cookie"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["MeView"];
+                };
+            };
+            400: components["responses"]["Malformed"];
+            /** @description Name or password is wrong */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            403: components["responses"]["Forbidden"];
+            413: components["responses"]["TooLarge"];
+            415: components["responses"]["WrongType"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    sign_out: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Signed out */
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            403: components["responses"]["Forbidden"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
+        };
+    };
+    list_tokens: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["TokensView"];
+                };
+            };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
+        };
+    };
+    add_token: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["NewToken"];
+            };
+        };
+        responses: {
+            201: {
+                headers: {
+                    /** @description The token */
+                    Location?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["NewTokenView"];
+                };
+            };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            403: components["responses"]["Forbidden"];
+            /** @description There is no such account */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description There are no accounts */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            413: components["responses"]["TooLarge"];
+            415: components["responses"]["WrongType"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
+        };
+    };
+    revoke_token: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The token's id */
+                id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description It is good no more */
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            403: components["responses"]["Forbidden"];
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
+        };
+    };
+    list_users: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["UsersView"];
+                };
+            };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            403: components["responses"]["Forbidden"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
+        };
+    };
+    add_user: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["NewUser"];
+            };
+        };
+        responses: {
+            201: {
+                headers: {
+                    /** @description The account */
+                    Location?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["UserView"];
+                };
+            };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            403: components["responses"]["Forbidden"];
+            /** @description The name is taken, or there are no accounts yet: the first is made on the command line */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            413: components["responses"]["TooLarge"];
+            415: components["responses"]["WrongType"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
+        };
+    };
+    remove_user: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description Of the account */
+                name: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description It is gone */
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            403: components["responses"]["Forbidden"];
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description It is the only admin */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
+        };
+    };
+    edit_user: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description Of the account */
+                name: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["UserChange"];
+            };
+        };
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["UserView"];
+                };
+            };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            403: components["responses"]["Forbidden"];
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description It is the only admin */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            413: components["responses"]["TooLarge"];
+            415: components["responses"]["WrongType"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
         };
     };
     healthz: {
@@ -1259,6 +2459,10 @@ export interface operations {
                     "text/plain": string;
                 };
             };
+            400: components["responses"]["Malformed"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
         };
     };
     metrics: {
@@ -1278,6 +2482,12 @@ export interface operations {
                     "application/openmetrics-text": string;
                 };
             };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
         };
     };
     readyz: {
@@ -1297,6 +2507,10 @@ export interface operations {
                     "application/json": components["schemas"]["ReadyView"];
                 };
             };
+            400: components["responses"]["Malformed"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
             503: {
                 headers: {
                     [name: string]: unknown;
