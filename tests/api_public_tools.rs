@@ -91,7 +91,9 @@ fn schemathesis_finds_no_server_error_and_no_undocumented_answer() {
     let log = std::fs::read_to_string(folder.join("log")).expect("a log");
     assert!(found_nothing, "{said}\n{log}");
     assert!(!log.contains("panicked"), "{log}");
-    assert!(!said.contains("Authentication failed"), "every operation was let in somewhere: {said}");
+    let changes = accounts.changes(None, 1000).expect("the book");
+    let made = changes.iter().filter(|(_, change)| change.who == "anna" && change.via == "token");
+    assert!(made.count() > 20, "it was let in, and changed things: {said}");
     // It can find something: a document that promises another answer.
     let path = folder.join("openapi.json");
     let text = std::fs::read_to_string(&path).expect("read");
