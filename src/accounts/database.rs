@@ -100,7 +100,7 @@ impl Database {
 
     pub fn users(&self) -> Result<Vec<User>> {
         let mut users = self.connection.prepare("SELECT name, role, created_ns FROM users ORDER BY name")?;
-        users.query_map([], |row| user(row))?.collect()
+        users.query_map([], user)?.collect()
     }
 
     /// The account and its password's hash.
@@ -226,7 +226,7 @@ impl Database {
             "SELECT id, user, label, role, created_ns, expires_ns, seen_ns FROM tokens
              WHERE ?1 IS NULL OR user = ?1 ORDER BY user, created_ns, id",
         )?;
-        tokens.query_map([user], |row| token(row))?.collect()
+        tokens.query_map([user], token)?.collect()
     }
 
     /// The token, and its account's role.

@@ -74,6 +74,8 @@ pub(super) enum Shown {
     Ticket,
 }
 
+type Ticket = (Option<Known>, Role, Stamp);
+
 /// The accounts, and what is known of visitors between requests.
 #[derive(Debug)]
 pub(in crate::site) struct People {
@@ -82,7 +84,8 @@ pub(in crate::site) struct People {
     pub limits: SignInLimits,
     pub hashing: Semaphore,
     clock: SiteClock,
-    tickets: Mutex<BTreeMap<[u8; 32], (Option<Known>, Role, Stamp)>>,
+    /// By their hash: whose they are, with the role, and until when they are good.
+    tickets: Mutex<BTreeMap<[u8; 32], Ticket>>,
     requests: Mutex<Buckets>,
     wrong_of_name: Mutex<Buckets>,
     wrong_of_address: Mutex<Buckets>,
