@@ -3,6 +3,8 @@
 
 #[cfg(feature = "shells")]
 pub mod accounts;
+pub mod baselines;
+pub mod batch;
 pub mod cli;
 pub mod config;
 pub mod estimator;
@@ -22,7 +24,9 @@ pub mod machine;
 pub mod player;
 pub mod preintegration;
 pub mod record;
+pub mod reference;
 pub mod replay;
+pub mod review;
 pub mod sensors;
 pub mod simulate;
 #[cfg(feature = "shells")]

@@ -6,6 +6,7 @@ use std::time::Instant;
 
 use super::progress::{Progress, Unit};
 use super::{BadArguments, Outcome, must_exist};
+use crate::baselines::Kind;
 use crate::config::{self, Machine};
 use crate::export::Faults;
 use crate::import::{
@@ -17,8 +18,9 @@ use crate::sensors::Arrival;
 /// Run the estimator over a log and write poses, events and a summary
 ///
 /// LOG is a folder of CSV files (imu.csv, gnss_left.csv, ...; all but imu.csv optional) or an MCAP recording
-/// of holdfast, all files of a session or their folder. Writes to DIR: world.tum, odom.tum and base_odom.tum (one pose for each IMU sample, as it would
-/// have been published live), estimate.csv (with biases and standard deviations), events.jsonl, summary.json.
+/// of holdfast, all files of a session or their folder. Writes to DIR: world.tum, odom.tum and base_odom.tum (one
+/// pose for each IMU sample, as it would have been published live), estimate.csv (with biases and standard
+/// deviations), corrections.csv (how far each update moved the newest position), events.jsonl, summary.json.
 /// The same log and machine file give the same bytes, times in summary.json apart. With --realtime there is also
 /// takeovers.csv: before which reading (of all sensors, counted from 0) the solution of which reading was taken
 /// over; with it the run can be had again to the bit.
@@ -41,7 +43,8 @@ pub struct Arguments {
     /// How fast to play the log, 1 is real time
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0, requires = "realtime", value_parser = super::speed)]
     pub speed: f64,
-    /// Estimator to run
+    /// Estimator to run; all but "dual" are for comparison (see src/baselines/README.md), publish one pose only and
+    /// know nothing of the chassis
     #[arg(long, value_enum, default_value_t = Method::Dual)]
     pub method: Method,
 }
@@ -51,6 +54,26 @@ pub struct Arguments {
 pub enum Method {
     /// Graph-based estimator of this project
     Dual,
+    /// Two-state implicit filter: IMU and GNSS (Bloesch et al. 2017)
+    Tsif,
+    /// Error-state Kalman filter with a state buffer: IMU, GNSS and lidar (Lynen et al. 2013)
+    Msf,
+    /// Lidar odometry alone, aligned at the start; one pose for each lidar pose
+    Lidar,
+    /// The IMU alone from the start on
+    DeadReckoning,
+}
+
+impl Method {
+    fn kind(self) -> Kind {
+        match self {
+            Method::Dual => Kind::Dual,
+            Method::Tsif => Kind::Tsif,
+            Method::Msf => Kind::Msf,
+            Method::Lidar => Kind::Lidar,
+            Method::DeadReckoning => Kind::DeadReckoning,
+        }
+    }
 }
 
 /// Runs the command.
@@ -58,6 +81,10 @@ pub enum Method {
 /// # Errors
 /// The log or the machine file cannot be used, or a file cannot be written.
 pub fn run(arguments: Arguments) -> Result<Outcome, Box<dyn Error>> {
+    if arguments.realtime && arguments.method != Method::Dual {
+        let message = "--realtime needs two halves on two threads, which only --method dual has";
+        return Err(BadArguments(message.to_owned()).into());
+    }
     let machine: Machine = config::load(&arguments.machine)?;
     arguments.log.iter().try_for_each(|log| must_exist(log))?;
     let (arrivals, lost_bytes) = read(&arguments.log, &machine)?;
@@ -78,7 +105,13 @@ pub fn run(arguments: Arguments) -> Result<Outcome, Box<dyn Error>> {
         let clock = move || u64::try_from(epoch.elapsed().as_nanos()).unwrap_or(u64::MAX);
         let arrivals = arrivals.into_iter().map(Ok::<Arrival, std::io::Error>);
         let options = machine.estimator_options();
-        crate::replay::run(arrivals, options, &mut outputs, clock, |progress| show(progress.data_s))?
+        crate::replay::run(
+            arrivals,
+            arguments.method.kind().estimator(options),
+            &mut outputs,
+            clock,
+            |progress| show(progress.data_s),
+        )?
     };
     bar.finish();
     outputs.finish(&summary)?;

@@ -22,9 +22,11 @@ mod machine;
 mod progress;
 mod realtime;
 mod replay;
+mod runs;
 mod simulate;
 #[cfg(feature = "shells")]
 mod site;
+mod smooth;
 mod verify;
 
 use std::error::Error;
@@ -53,6 +55,7 @@ enum Command {
     Simulate(simulate::Arguments),
     Estimate(estimate::Arguments),
     Evaluate(evaluate::Arguments),
+    Smooth(smooth::Arguments),
     Import(import::Arguments),
     Export(export::Arguments),
     Check(check::Arguments),
@@ -103,7 +106,8 @@ pub fn main() -> ExitCode {
         Command::Demo(arguments) => demo::run(arguments).map(|()| Outcome::Done),
         Command::Simulate(arguments) => simulate::run(arguments).map(|()| Outcome::Done),
         Command::Estimate(arguments) => estimate::run(arguments),
-        Command::Evaluate(arguments) => evaluate::run(arguments).map(|()| Outcome::Done),
+        Command::Evaluate(arguments) => evaluate::run(arguments),
+        Command::Smooth(arguments) => smooth::run(arguments),
         Command::Import(arguments) => import::run(arguments),
         Command::Export(arguments) => export::run(arguments),
         Command::Check(arguments) => Ok(check::run(&arguments)),

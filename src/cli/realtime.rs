@@ -12,6 +12,7 @@ use crate::live::{self, Inlet, Origin, PredictorOutlet, Taken, UpdaterOutlet};
 use crate::replay::{Outputs, Summary, Tally};
 use crate::sensors::{Arrival, Reading};
 use crate::state::{Estimate, Event, Health, Takeover};
+use crate::time::Stamp;
 
 /// What is said on the way to the files: some seconds. When it is full the threads wait, since nothing of a log
 /// must be lost; a machine counts and drops instead.
@@ -92,9 +93,11 @@ type Written = (Tally, Option<(Box<Health>, u64)>);
 fn write(said: Receiver<Said>, outputs: &mut Outputs) -> io::Result<Written> {
     let mut tally = Tally::default();
     let mut end = None;
+    let mut now = Stamp::default();
     for said in said {
         match said {
             Said::Taken { arrival, nanos } => {
+                now = arrival.arrival;
                 tally.note_arrival(&arrival);
                 if matches!(arrival.reading, Reading::Imu(_)) {
                     tally.predict.note(nanos);
@@ -107,6 +110,7 @@ fn write(said: Receiver<Said>, outputs: &mut Outputs) -> io::Result<Written> {
             Said::TakenOver { takeover, correction } => {
                 tally.note_correction(&correction);
                 outputs.write_takeover(&takeover)?;
+                outputs.write_correction(now, &correction)?;
             }
             Said::Updated { nanos } => tally.update.note(nanos),
             Said::Events(events) => {

@@ -3,6 +3,7 @@
 //! Unknown keys are refused, and every error names file, line and column. What a value means to the
 //! estimator is said by the estimator's own options; this room fills them in.
 
+mod alerts;
 mod endpoint;
 mod machine;
 mod site;
@@ -13,12 +14,16 @@ use std::path::{Path, PathBuf};
 
 use serde::de::DeserializeOwned;
 
+pub use alerts::{
+    Alerts, ClockOff, DiskLow, EstimatorLate, MachineLost, Mail, MailTls, OutageLonger, SensorSilent,
+    SigmaOverTolerance, Webhook,
+};
 pub use endpoint::endpoint;
 pub use machine::{
     BaseImu, Frames, Gate, Gnss, Imu, Initialization, LidarInOutage, LidarOdometry, Link, Machine, OnBoard,
     Publish, Smoother, Transform, World,
 };
-pub use site::{Http, Record, Rotate, Site, Zenoh};
+pub use site::{Http, Record, Rotate, Site, Tolerance, Zenoh};
 pub use topics::Topics;
 
 /// Why a configuration file cannot be used.

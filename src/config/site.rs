@@ -8,7 +8,7 @@ use jiff::tz::TimeZone;
 use serde::{Deserialize, Serialize};
 
 use super::endpoint::listening;
-use super::{Checked, Violation, World, identifier, violation, within};
+use super::{Alerts, Checked, Violation, World, identifier, violation, within};
 
 /// One site server.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -33,6 +33,20 @@ pub struct Site {
     /// What is kept.
     #[serde(default)]
     pub record: Record,
+    /// How good a position must be.
+    #[serde(default)]
+    pub tolerance: Tolerance,
+    /// What is watched, and who is told.
+    #[serde(default)]
+    pub alerts: Alerts,
+}
+
+/// How good a position must be.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Tolerance {
+    /// One sigma along the worst horizontal direction, m: up to it a machine without GNSS may work on.
+    pub position_sigma_m: f64,
 }
 
 /// Page and API.
@@ -143,6 +157,12 @@ impl Default for Record {
             keep_days: None,
             keep_gb: None,
         }
+    }
+}
+
+impl Default for Tolerance {
+    fn default() -> Self {
+        Self { position_sigma_m: 0.05 }
     }
 }
 
@@ -261,6 +281,8 @@ impl Checked for Site {
         self.zone()?;
         self.http.check()?;
         self.record.check()?;
+        self.alerts.check()?;
+        within("tolerance.position_sigma_m", self.tolerance.position_sigma_m, 0.001, 100.0)?;
         if self.zenoh.listen.is_empty() {
             return violation(
                 "zenoh.listen",
@@ -292,6 +314,8 @@ mod tests {
         assert_eq!(shipped.http, Http::default());
         assert_eq!(shipped.zenoh, Zenoh::default());
         assert_eq!(shipped.record, Record::default());
+        assert_eq!(shipped.tolerance, Tolerance::default());
+        assert_eq!(shipped.alerts, Alerts::default());
         assert_eq!(shipped.time_zone, utc());
     }
 
@@ -304,6 +328,7 @@ mod tests {
             ("[record]\nfile_max_mb = 0.0\n", "record.file_max_mb is 0, must be from 1 to 1e9"),
             ("[record]\nkeep_days = nan\n", "record.keep_days is NaN"),
             ("[record]\nreserve_mb = -1\n", "record.reserve_mb is -1"),
+            ("[tolerance]\nposition_sigma_m = 0\n", "tolerance.position_sigma_m is 0, must be from 0.001"),
         ] {
             let (head, table) = if text.starts_with('[') { ("", text) } else { (text, "") };
             let message = error(&format!("{head}{MINIMAL}{table}"));
@@ -350,6 +375,32 @@ mod tests {
         }
         let text = "[http]\norigins = [\"https://portal.example:8443\", \"http://a\"]\n";
         assert!(parse::<Site>(&format!("{MINIMAL}{text}"), Path::new("s.toml")).is_ok());
+    }
+
+    #[test]
+    fn alerts_that_cannot_be_are_refused_with_their_line() {
+        let hook = |rest: &str| format!("[[alerts.webhook]]\nname = \"a\"\n{rest}\n");
+        let mail = |rest: &str| {
+            format!("[alerts.mail]\nhost = \"m\"\nport = 25\nfrom = \"a@b.c\"\nto = [\"d@e.f\"]\n{rest}\n")
+        };
+        for (text, expected) in [
+            ("[alerts.disk_low]\nfre_gb = 1\n".to_owned(), "s.toml:7:1: unknown field `fre_gb`"),
+            ("[alerts.disk]\nfree_gb = 1\n".to_owned(), "s.toml:6:9: unknown field `disk`"),
+            ("[alerts.clock_off]\nafter_s = -1\n".to_owned(), "s.toml:7:1: alerts.clock_off.after_s is -1"),
+            ("[alerts.clock_off]\nclear_off_s = 0.6\n".to_owned(), "must be from 0 to 0.5"),
+            ("[alerts.disk_low]\nclear_free_gb = 4\n".to_owned(), "must be from 5 to"),
+            (hook("url = \"ftp://x\""), "s.toml:8:1: alerts.webhook.url is \"ftp://x\""),
+            (mail("user = \"u\""), "alerts.mail.user and password_file go together"),
+            (mail("user = \"u\"\npassword_file = \"p\"\ntls = \"none\""), "alerts.mail.tls is \"none\""),
+        ] {
+            let message = error(&format!("{MINIMAL}{text}"));
+            assert!(message.contains(expected), "{message}");
+        }
+        let off = format!(
+            "{MINIMAL}[alerts.disk_low]\nenabled = false\n[alerts.outage_longer]\nlonger_than_s = 5\n"
+        );
+        let rules = parse::<Site>(&off, Path::new("s.toml")).expect("valid").alerts.rules();
+        assert_eq!((rules.len(), rules[0].raise), (6, 5.0));
     }
 
     #[test]

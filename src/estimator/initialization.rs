@@ -44,12 +44,15 @@ const EPOCHS_MIN: usize = 5;
 /// Prior of the chassis gyro's bias, rad/s.
 const BASE_GYRO_BIAS_SIGMA: f64 = 0.01;
 
-/// Where and how the estimate starts.
-pub(super) struct Start {
+/// Where and how an estimate starts.
+pub struct Start {
+    /// Of the state; some tenths of a second ago.
     pub stamp: Stamp,
+    /// The state.
     pub state: NavState,
     /// Inverse covariance of the state.
     pub information: StateMatrix,
+    /// How the heading was found.
     pub heading_from: &'static str,
     /// rad.
     pub heading_sigma: f64,

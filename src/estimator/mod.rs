@@ -14,21 +14,29 @@ mod inbox;
 mod inflation;
 mod initialization;
 mod lidar;
+mod method;
 mod monitor;
 mod options;
 mod place;
 mod predictor;
 mod resumption;
 mod standstill;
+mod starter;
 mod ties;
 mod updater;
 
 pub use gate::Options as GateOptions;
+pub use initialization::Start;
+pub use method::Method;
 pub use options::{InOutage, Initialization, Options};
 pub use predictor::Predictor;
+pub use starter::{Admitted, Starter};
 pub use updater::Updater;
 
-use crate::sensors::Arrival;
+use std::sync::Arc;
+
+use crate::sensors::{Arrival, ImuSample};
+use crate::smoother::PastNode;
 use crate::state::{Estimate, Event, Health, Mode, NavState, StateMatrix};
 use crate::time::{Span, Stamp};
 
@@ -57,6 +65,18 @@ pub fn split(options: Options) -> (Predictor, Updater) {
     (Predictor::new(options.clone()), Updater::new(options))
 }
 
+/// What one estimate rested on, from its start until it was given up.
+#[derive(Clone, Debug)]
+pub struct Past {
+    /// Nodes of the answering graph with their factors, oldest first. A chain begins at each node with a `start`:
+    /// where fixes seated the estimate anew, nothing ties it to what was before.
+    ///
+    /// After an outage that is main, with the fixes that ended it; what fallback alone was told is not in it.
+    pub nodes: Vec<Arc<PastNode>>,
+    /// Samples of the cabin IMU, oldest first, from before the first node on.
+    pub samples: Vec<ImuSample>,
+}
+
 /// What a solution changed when it was taken over.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Correction {
@@ -76,6 +96,16 @@ impl Estimator {
     pub fn new(options: Options) -> Self {
         let (predictor, updater) = split(options);
         Self { predictor, updater }
+    }
+
+    /// Keeps every node with its factors, for [`Estimator::take_history`]; see [`Updater::keep_history`].
+    pub fn keep_history(&mut self) {
+        self.updater.keep_history();
+    }
+
+    /// The graph as it was built; see [`Updater::take_history`].
+    pub fn take_history(&mut self) -> Vec<Past> {
+        self.updater.take_history()
     }
 
     /// Takes a reading, in order of arrival. An IMU sample gives an estimate once started; what the reading

@@ -16,7 +16,7 @@ use super::options::Options;
 use super::resumption::{Chassis, Known, LidarTrail};
 use super::standstill::{Standstill, Stillness};
 use super::ties;
-use super::{IMU_GAP_MAX, Solution};
+use super::{IMU_GAP_MAX, Past, Solution};
 use crate::factors::PositionFactor;
 use crate::lie::Vec3;
 use crate::sensors::{Arrival, GnssFix, ImuSample, LidarPose, Reading, Sensor};
@@ -52,6 +52,17 @@ pub struct Updater {
     /// Memory of solutions that were adopted.
     #[expect(clippy::vec_box, reason = "the boxes travel")]
     used: Vec<Box<Solution>>,
+    /// Where it is asked for.
+    history: Option<History>,
+}
+
+/// What the estimates rested on.
+#[derive(Default)]
+struct History {
+    /// Of those that were given up.
+    closed: Vec<Past>,
+    /// Since then.
+    samples: Vec<ImuSample>,
 }
 
 enum Phase {
@@ -83,12 +94,35 @@ impl Updater {
             monitor: Monitor::default(),
             now: Stamp::default(),
             used: Vec::new(),
+            history: None,
         }
     }
 
     /// Gives back a solution that the predictor has adopted: the next one needs no new memory.
     pub fn recycle(&mut self, used: Box<Solution>) {
         self.used.push(used);
+    }
+
+    /// Keeps from now on every node of the graph that answers, with its factors, and the samples of the IMU: to be
+    /// called before the first reading. Memory then grows by some 3 kB a node and 60 bytes a sample.
+    pub fn keep_history(&mut self) {
+        self.history.get_or_insert_default();
+    }
+
+    /// All that was kept, oldest first; nothing is kept from then on.
+    pub fn take_history(&mut self) -> Vec<Past> {
+        self.close_history();
+        self.history.take().map_or_else(Vec::new, |history| history.closed)
+    }
+
+    /// The estimate is given up: what it rested on is one past.
+    fn close_history(&mut self) {
+        let Some(history) = &mut self.history else { return };
+        let samples = std::mem::take(&mut history.samples);
+        if let Phase::Running(running) = &mut self.phase {
+            let nodes = running.graphs.active_mut().take_history();
+            history.closed.push(Past { nodes, samples });
+        }
     }
 
     /// Takes any reading, in order of arrival. Returns a solution if it led to one.
@@ -122,6 +156,9 @@ impl Updater {
                     let gap_s = sample.stamp.seconds_since(previous);
                     let known = self.known();
                     self.begin_anew(&format!("the cabin IMU was silent for {gap_s:.2} s"), known);
+                }
+                if let Some(history) = &mut self.history {
+                    history.samples.push(sample);
                 }
                 if self.inbox.newest(Sensor::BaseImu).is_none() {
                     self.standstill.push_sample(sample);
@@ -458,6 +495,9 @@ impl Updater {
     /// Starts the window and works off what came since.
     fn begin(&mut self, start: Start) -> Option<Box<Solution>> {
         let mut smoother = Smoother::new(self.options.smoother);
+        if self.history.is_some() {
+            smoother.keep_history();
+        }
         start.samples.iter().for_each(|sample| smoother.push_sample(*sample));
         if let Err(error) = smoother.start(start.stamp, start.state, &start.information) {
             self.begin_anew(&format!("the start failed: it {error}"), None);
@@ -517,6 +557,7 @@ impl Updater {
     /// Gives up the estimate and waits for a new start.
     fn begin_anew(&mut self, reason: &str, known: Option<Known>) {
         let was_running = matches!(self.phase, Phase::Running(_));
+        self.close_history();
         self.phase = Phase::Waiting(Box::new(Initializer::new(self.options.clone(), known)));
         self.pending.clear();
         self.standstill.end();
@@ -586,7 +627,7 @@ impl Updater {
     }
 }
 
-fn standstill_of(options: &Options) -> Standstill {
+pub(super) fn standstill_of(options: &Options) -> Standstill {
     let noise = &options.smoother.noise;
     Standstill::new(Stillness::of(noise.gyroscope_noise_density, noise.accelerometer_noise_density))
 }

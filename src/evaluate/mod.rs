@@ -5,7 +5,15 @@
 //! so that heading means the same for an IMU that is mounted in whatever way.
 
 mod alignment;
+mod chi_square;
+pub mod comparison;
+mod evo;
+pub mod monte_carlo;
+pub mod paper;
+pub mod report;
 mod statistics;
+pub mod tasks;
+pub mod trial;
 
 #[cfg(test)]
 mod tests;
@@ -13,10 +21,12 @@ mod tests;
 use serde::Serialize;
 
 use crate::import::{Interval, StampedPose};
-use crate::lie::{Se3, Vec3};
+use crate::lie::{Se3, So3, Vec3};
 use crate::time::Stamp;
 
 pub use alignment::Alignment;
+pub use chi_square::{chi_square_below, chi_square_quantile, mean_bounds};
+pub use evo::{DeltaUnit, EvoOptions, EvoReport, EvoStatistics, Relation, evo};
 pub use statistics::Statistics;
 
 /// How to compare.
@@ -38,12 +48,29 @@ impl Default for Options {
     }
 }
 
+impl Options {
+    /// Whether an estimate of that stamp counts.
+    fn counts(&self, stamp: Stamp) -> bool {
+        match &self.only {
+            None => true,
+            Some(condition) => {
+                self.intervals.iter().any(|one| one.condition == *condition && one.holds(stamp))
+            }
+        }
+    }
+}
+
 /// Why there is nothing to tell.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum EvaluateError {
     /// One of the two has no poses.
     #[error("the {0} has no poses")]
     Empty(&'static str),
+    /// Positions do not tell how to align.
+    #[error(
+        "cannot be aligned: all positions lie on one line or in one point, which leaves the rotation open"
+    )]
+    NoAlignment,
     /// No estimate is where there is truth.
     #[error("nothing to compare: the truth is from {} s to {} s, the estimate from {} s to {} s{note}",
             truth[0], truth[1], estimate[0], estimate[1])]
@@ -76,6 +103,8 @@ pub struct Report {
     pub aligned_by_translation_m: [f64; 3],
     /// Its rotation vector, degrees.
     pub aligned_by_rotation_deg: [f64; 3],
+    /// What the estimate's positions were multiplied by before.
+    pub aligned_by_scale: f64,
     /// Over all that was compared.
     pub errors: Errors,
     /// All intervals of the same condition together, by name.
@@ -146,17 +175,11 @@ pub fn compare(
         [only] => Ok([only.stamp; 2]),
     };
     let (truth_ends, estimate_ends) = (ends(truth, "truth")?, ends(estimate, "estimate")?);
-    let inside = |stamp: Stamp| match &options.only {
-        None => true,
-        Some(condition) => {
-            options.intervals.iter().any(|one| one.condition == *condition && one.holds(stamp))
-        }
-    };
     let mut pairs = Vec::new();
     let mut without_truth = 0;
     let mut outside_intervals = 0;
     for posed in estimate {
-        if !inside(posed.stamp) {
+        if !options.counts(posed.stamp) {
             outside_intervals += 1;
         } else if let Some(at) = interpolate(truth, posed.stamp, options.gap_max_s) {
             pairs.push(Pair { stamp: posed.stamp, truth: at, estimate: posed.pose });
@@ -169,10 +192,8 @@ pub fn compare(
     let (Some(first), Some(last)) = (pairs.first(), pairs.last()) else { return Err(nothing) };
     let (start_s, end_s) = (first.stamp.as_seconds(), last.stamp.as_seconds());
 
-    let truth_from_estimate = options.alignment.solve(&pairs);
-    for pair in &mut pairs {
-        pair.estimate = truth_from_estimate * pair.estimate;
-    }
+    let truth_from_estimate = options.alignment.solve(&pairs).ok_or(EvaluateError::NoAlignment)?;
+    pairs.iter_mut().for_each(|pair| pair.estimate = truth_from_estimate.apply(&pair.estimate));
     let within = |interval: &Interval| errors(pairs.iter().filter(|pair| interval.holds(pair.stamp)));
     let mut names: Vec<&str> = options.intervals.iter().map(|one| one.condition.as_str()).collect();
     names.sort_unstable();
@@ -198,12 +219,20 @@ pub fn compare(
         start_s,
         end_s,
         alignment: options.alignment,
-        aligned_by_translation_m: truth_from_estimate.translation.into(),
-        aligned_by_rotation_deg: truth_from_estimate.rotation.log().map(f64::to_degrees).into(),
+        aligned_by_translation_m: truth_from_estimate.motion.translation.into(),
+        aligned_by_rotation_deg: truth_from_estimate.motion.rotation.log().map(f64::to_degrees).into(),
+        aligned_by_scale: truth_from_estimate.scale,
         errors: all,
         conditions: names.into_iter().filter_map(condition).collect(),
         intervals: options.intervals.iter().filter_map(interval).collect(),
     })
+}
+
+/// What a report says was taken out.
+fn motion_of(report: &Report) -> alignment::Similarity {
+    let turn = Vec3::from(report.aligned_by_rotation_deg).map(f64::to_radians);
+    let motion = Se3::new(So3::exp(&turn), Vec3::from(report.aligned_by_translation_m));
+    alignment::Similarity { scale: report.aligned_by_scale, motion }
 }
 
 /// The true pose at `stamp`: positions on a straight line, rotations at an even rate (slerp).

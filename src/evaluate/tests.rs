@@ -89,6 +89,36 @@ fn alignment_takes_out_the_frame_and_nothing_else() {
 }
 
 #[test]
+fn scale_and_origin_are_taken_out_where_asked() {
+    let truth = way();
+    let motion = Se3::new(So3::from_yaw_pitch_roll(1.2, 0.3, -0.2), Vec3::new(5.0, -7.0, 2.0));
+    let mut estimate = moved(&truth, &motion);
+    let rmse = |estimate: &[StampedPose], alignment| {
+        let options = Options { alignment, ..Options::default() };
+        compare(&truth, estimate, &options).expect("comparable").errors.position_m.rmse
+    };
+    assert!(rmse(&estimate, Alignment::Origin) < 1e-9);
+    estimate.iter_mut().for_each(|posed| posed.pose.translation *= 1.1);
+    assert!(rmse(&estimate, Alignment::Sim3) < 1e-9);
+    assert!(rmse(&estimate, Alignment::Se3) > 0.1, "the scale must stay");
+    let options = Options { alignment: Alignment::Sim3, ..Options::default() };
+    let scale = compare(&truth, &estimate, &options).expect("comparable").aligned_by_scale;
+    assert!((scale * 1.1 - 1.0).abs() < 1e-9, "{scale}");
+    let mut scaled = truth.clone();
+    scaled.iter_mut().for_each(|posed| posed.pose.translation *= 0.8);
+    assert!(rmse(&scaled, Alignment::Scale) < 1e-9);
+}
+
+#[test]
+fn a_machine_that_stood_cannot_be_aligned() {
+    let stood: Vec<StampedPose> =
+        way().into_iter().map(|posed| StampedPose { pose: Se3::identity(), ..posed }).collect();
+    let options = Options { alignment: Alignment::Se3, ..Options::default() };
+    assert_eq!(compare(&stood, &stood, &options), Err(EvaluateError::NoAlignment));
+    assert!(compare(&stood, &stood, &Options::default()).is_ok());
+}
+
+#[test]
 fn errors_are_told_for_each_interval_and_condition() {
     let truth = way();
     let (good, bad) = ("good".to_owned(), "blocked".to_owned());

@@ -3,6 +3,7 @@
 use std::collections::{BTreeSet, VecDeque};
 
 use super::link::{self, ClockOffset, Interval, Rate};
+use super::outages::{Monitor, Outage};
 use super::view::{self, HealthView, LinkView, MachineView, PoseView, UtcTime};
 use super::{
     Gaps, HEALTH_AGE_MAX, MachineReport, ORIGIN_OFF_MAX_M, POSE_AGE_LIMIT, POSE_AGE_MAX, POSES_MISSING_MAX,
@@ -50,10 +51,11 @@ pub(super) struct Machine {
     rival: Option<Stamp>,
     rival_told: Option<Stamp>,
     refused: u64,
+    pub monitor: Monitor,
 }
 
 impl Machine {
-    pub fn new(now: Stamp) -> Self {
+    pub fn new(id: &str, carried_on: Option<Outage>, now: Stamp) -> Self {
         Self {
             tokens: BTreeSet::new(),
             boot: None,
@@ -73,6 +75,7 @@ impl Machine {
             rival: None,
             rival_told: None,
             refused: 0,
+            monitor: Monitor::new(id, carried_on, now),
         }
     }
 
@@ -162,6 +165,7 @@ impl Machine {
         if !finite {
             return self.refuse();
         }
+        self.monitor.pose(&sample, now);
         self.pose = Some(Received { value: sample, at: now, boot: self.boot });
         self.advance(now);
     }
@@ -172,13 +176,24 @@ impl Machine {
     }
 
     pub fn report(&mut self, report: MachineReport, now: Stamp) {
+        self.monitor.report(&report.health, self.boot, now);
         self.report = Some(Received { value: report, at: now, boot: self.boot });
         self.advance(now);
+    }
+
+    pub fn fix(&mut self, sigma_m: f64, now: Stamp) {
+        if !sigma_m.is_finite() {
+            return self.refuse();
+        }
+        self.monitor.fix(sigma_m, now);
     }
 
     /// The one place where presence changes; true if it did.
     pub fn advance(&mut self, now: Stamp) -> bool {
         let (presence, since) = self.presence_at(now);
+        let heard = self.report.as_ref().filter(|report| report.boot == self.boot);
+        let is_young = heard.is_some_and(|report| now - report.at <= HEALTH_AGE_MAX);
+        self.monitor.advance(presence != Presence::Lost && is_young, now);
         if presence == self.presence {
             return false;
         }
@@ -225,7 +240,7 @@ impl Machine {
         self.odom_from_base = None;
     }
 
-    pub fn view(&self, id: &str, frame: &SiteFrame, now: Stamp) -> MachineView {
+    pub fn view(&self, id: &str, frame: &SiteFrame, tolerance_m: f64, now: Stamp) -> MachineView {
         let report = self.report.as_ref();
         let pose = self.pose.as_ref().map(|pose| {
             let description = report.map(|report| &report.value);
@@ -235,6 +250,7 @@ impl Machine {
         });
         let health = report.map(|report| HealthView {
             age_s: now.seconds_since(report.at).max(0.0),
+            estimate_age_s: report.value.estimate_age_s,
             report: report.value.health.clone(),
         });
         let silent_s = now.seconds_since(self.presence_since).max(0.0);
@@ -264,6 +280,7 @@ impl Machine {
             severity,
             pose,
             health,
+            gnss: self.monitor.view(tolerance_m, now),
             link: LinkView {
                 pose_rate_hz: self.pose_rate.hertz(now),
                 received: self.gaps.received,

@@ -17,13 +17,25 @@
 //! lost machine keeps its last values, and their ages grow. Telling the same thing twice changes nothing. A
 //! restart is a new boot id: counting starts anew, and what still arrives from the boot before is refused.
 
+mod alerts;
 mod link;
 mod machine;
+mod outages;
 mod trail;
 mod view;
 
 use std::collections::BTreeMap;
 
+pub use alerts::{
+    Acknowledgement, AcknowledgementView, Alert, AlertRule, AlertSeverity, AlertState, AlertView, Alerts,
+    Observation, RuleKind, SiteState, Subject, Unacknowledged, observations, retry_after,
+};
+pub use outages::{
+    Budget, CELL_M, CauseTally, CellKey, CellTime, Change, CurrentOutage, DayStatistics, Ending,
+    FLOAT_SIGMA_M, FixState, GnssView, MachineStatistics, Observed, Outage, OutageDetail, OutageView,
+    PlaceView, QUARTER, SAMPLES_MAX, ShadowFeature, ShadowMap, ShadowPolygon, ShadowProperties, SigmaSample,
+    SigmaSummary, SigmaView, Statistics, Tally, Thinned, TrackPoint, TrackView,
+};
 pub use trail::{TRAIL_POINTS_MAX, TrailPoint, Trails};
 pub use view::{
     Ellipse95, FleetView, HealthView, LinkView, MachineView, PoseView, Presence, SIGMAS_95, Severity,
@@ -71,6 +83,8 @@ pub struct SiteDescription {
     pub origin: Geodetic,
     /// Version of the site server.
     pub software: String,
+    /// One sigma of a machine's position that the site tolerates, along the worst horizontal direction, m.
+    pub tolerance_m: f64,
 }
 
 /// What a message is about: the part of its key after the machine.
@@ -127,6 +141,8 @@ pub struct MachineReport {
     pub cabin_from_imu: Pose<Cabin, Imu>,
     /// Drift of the odom frame, once known.
     pub world_from_odom: Option<Pose<World, Odom>>,
+    /// From the newest estimate to the report, by the machine's clock, s.
+    pub estimate_age_s: Option<f64>,
     /// State of the estimator.
     pub health: Health,
 }
@@ -162,13 +178,22 @@ pub struct Fleet {
     site: SiteDescription,
     frame: SiteFrame,
     machines: BTreeMap<String, Machine>,
+    /// Outages that went on when the site server ended, by machine, until the machine is heard of.
+    carried_on: BTreeMap<String, Outage>,
 }
 
 impl Fleet {
     /// A site without machines.
     pub fn new(site: SiteDescription) -> Self {
         let frame = SiteFrame::new(site.origin);
-        Self { site, frame, machines: BTreeMap::new() }
+        Self { site, frame, machines: BTreeMap::new(), carried_on: BTreeMap::new() }
+    }
+
+    /// An outage that went on when the site server ended: it goes on, or ends, when its machine is heard.
+    pub fn carry_on(&mut self, outage: Outage) {
+        if self.carried_on.len() < MACHINES_MAX {
+            self.carried_on.insert(outage.machine.clone(), outage);
+        }
     }
 
     /// A liveliness token appeared.
@@ -215,6 +240,13 @@ impl Fleet {
         }
     }
 
+    /// What the receiver of a machine's left antenna reports of a fix: the larger horizontal sigma, m.
+    pub fn fix(&mut self, id: &str, sigma_m: f64, now: Stamp) {
+        if let Some(machine) = self.machine_mut(id, now) {
+            machine.fix(sigma_m, now);
+        }
+    }
+
     /// A report that [`Fleet::receive`] accepted.
     pub fn report(&mut self, id: &str, report: MachineReport, now: Stamp) {
         if let Some(machine) = self.machine_mut(id, now) {
@@ -232,6 +264,25 @@ impl Fleet {
     /// Lets time pass: what became old by `now` becomes stale. Returns the machines whose presence changed.
     pub fn advance(&mut self, now: Stamp) -> usize {
         self.machines.values_mut().map(|machine| usize::from(machine.advance(now))).sum()
+    }
+
+    /// Outages that began or ended since the last call, and those that go on, once a second.
+    pub fn take_outage_changes(&mut self) -> Vec<Change> {
+        self.machines.values_mut().flat_map(|machine| machine.monitor.take_changes()).collect()
+    }
+
+    /// Time that machines spent in the cells of the site since the last call.
+    pub fn take_cells(&mut self) -> Vec<(String, CellKey, CellTime)> {
+        let take = |(id, machine): (&String, &mut Machine)| {
+            let id = id.clone();
+            machine.monitor.take_cells().into_iter().map(move |(key, time)| (id.clone(), key, time))
+        };
+        self.machines.iter_mut().flat_map(take).collect()
+    }
+
+    /// The site frame.
+    pub fn frame(&self) -> &SiteFrame {
+        &self.frame
     }
 
     /// How many machines were ever seen.
@@ -260,7 +311,11 @@ impl Fleet {
         FleetView {
             site: self.site(),
             time: UtcTime(now),
-            machines: self.machines.iter().map(|(id, machine)| machine.view(id, &self.frame, now)).collect(),
+            machines: self
+                .machines
+                .iter()
+                .map(|(id, machine)| machine.view(id, &self.frame, self.site.tolerance_m, now))
+                .collect(),
         }
     }
 
@@ -269,7 +324,8 @@ impl Fleet {
             if self.machines.len() >= MACHINES_MAX {
                 return None;
             }
-            self.machines.insert(id.to_owned(), Machine::new(now));
+            let carried_on = self.carried_on.remove(id);
+            self.machines.insert(id.to_owned(), Machine::new(id, carried_on, now));
         }
         self.machines.get_mut(id)
     }

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::lie::{Se3, So3, Vec3};
-use crate::state::{GnssState, Mode, OutageReport};
+use crate::state::{GnssState, Mode, OutageReport, SensorHealth};
 
 const BOOT: u64 = 0xb007;
 
@@ -17,6 +17,7 @@ fn fleet() -> Fleet {
         origin: Geodetic { latitude_deg: 47.48, longitude_deg: 8.5, altitude_m: 475.0 },
         time_zone: "UTC".to_owned(),
         software: "0.0.0".to_owned(),
+        tolerance_m: 0.05,
     })
 }
 
@@ -61,6 +62,7 @@ fn report(health: Health) -> MachineReport {
         origin: Geodetic { latitude_deg: 47.48, longitude_deg: 8.5, altitude_m: 475.0 },
         cabin_from_imu: Pose::identity(),
         world_from_odom: None,
+        estimate_age_s: Some(0.01),
         health,
     }
 }
@@ -382,4 +384,60 @@ fn first_of_two_machines_with_one_id_is_back_when_the_second_has_ended() {
     assert_eq!(send_pose(&mut fleet, 20, BOOT, at(2.1)), Receipt::Accepted);
     assert_eq!(presence(&mut fleet, at(2.1)), Presence::Online);
     assert_eq!(send_pose(&mut fleet, 1, BOOT + 1, at(2.2)), Receipt::OldBoot);
+}
+
+#[test]
+fn observations_say_what_is_the_case_and_nothing_that_nobody_knows() {
+    let mut fleet = fleet();
+    fleet.announce("a", BOOT, at(0.0));
+    let sensor = SensorHealth {
+        sensor: Sensor::LidarOdometry,
+        rate_hz: 0.0,
+        age_s: Some(4.5),
+        received: 9,
+        refused: 0,
+        last_refusal: None,
+    };
+    let outage = OutageReport {
+        start_stamp_ns: at(-30.0).as_nanos(),
+        end_stamp_ns: None,
+        cause: GnssState::Degraded,
+        travelled_m: 3.0,
+        jump_m: None,
+    };
+    let sensors = vec![sensor];
+    let state = Health { outage: Some(outage), sensors, ..health(Mode::Fallback, GnssState::Degraded) };
+    send_health(&mut fleet, 0, state, at(0.0));
+    send_pose(&mut fleet, 0, BOOT, at(0.1));
+    let observed = |fleet: &mut Fleet, seconds: f64| {
+        fleet.advance(at(seconds));
+        let state = SiteState { disk_free_bytes: Some(7_500_000_000), tolerance_m: 0.05 };
+        let observations = observations(&fleet.view(at(seconds)), state);
+        move |rule: RuleKind| {
+            let found = observations.iter().find(|observation| observation.subject.rule == rule);
+            found.map(|found| (found.value.map(|value| (value * 1e3).round() / 1e3), found.message.clone()))
+        }
+    };
+    let value = |found: Option<(Option<f64>, String)>| found.expect("watched").0;
+    let now = observed(&mut fleet, 0.2);
+    assert_eq!(value(now(RuleKind::DiskLow)), Some(7.5));
+    assert_eq!(value(now(RuleKind::MachineLost)), Some(0.0));
+    let (outage_s, words) = now(RuleKind::OutageLonger).expect("watched");
+    assert_eq!((outage_s, words.as_str()), (Some(30.2), "a is without GNSS (degraded) for 30 s"));
+    assert_eq!(value(now(RuleKind::SigmaOverTolerance)), Some(0.4), "2 cm of 5");
+    assert_eq!(value(now(RuleKind::ClockOff)), Some(0.0));
+    assert_eq!(value(now(RuleKind::EstimatorLate)), Some(0.01));
+    let (silent_s, words) = now(RuleKind::SensorSilent).expect("watched");
+    assert_eq!((silent_s, words.as_str()), (Some(4.5), "a: lidar_odometry is silent for 4.5 s"));
+
+    fleet.withdraw("a", BOOT, at(1.0));
+    let later = observed(&mut fleet, 13.0);
+    let (lost_s, words) = later(RuleKind::MachineLost).expect("watched");
+    assert_eq!((lost_s, words.as_str()), (Some(12.0), "a is not connected"));
+    for rule in
+        [RuleKind::OutageLonger, RuleKind::SigmaOverTolerance, RuleKind::ClockOff, RuleKind::EstimatorLate]
+    {
+        assert_eq!(value(later(rule)), None, "{rule:?}");
+    }
+    assert!(later(RuleKind::SensorSilent).is_none());
 }

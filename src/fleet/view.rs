@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::{Serialize, Serializer};
 
-use super::{MachineReport, POSE_AGE_MAX, PoseSample};
+use super::{GnssView, MachineReport, POSE_AGE_MAX, PoseSample};
 use crate::frames::geodesy::{Geodetic, SiteFrame};
 use crate::frames::{Base, Cabin, Odom, Pose, World};
 use crate::lie::Vec3;
@@ -145,6 +145,8 @@ pub struct MachineView {
     pub pose: Option<PoseView>,
     /// The newest health, however old it is.
     pub health: Option<HealthView>,
+    /// Its fixes, and the outage that goes on.
+    pub gnss: GnssView,
     /// How good its link is.
     pub link: LinkView,
 }
@@ -204,6 +206,8 @@ pub struct Ellipse95 {
 pub struct HealthView {
     /// Since it arrived, by the site's clock, s.
     pub age_s: f64,
+    /// How old its newest estimate was when it said this, by its own clock, s; `null` before the start.
+    pub estimate_age_s: Option<f64>,
     /// As the machine sent it.
     pub report: Health,
 }

@@ -11,6 +11,7 @@ mod intervals;
 mod log_folder;
 mod recording;
 mod ros;
+mod run_files;
 mod source;
 mod table;
 mod tum;
@@ -25,6 +26,7 @@ pub use checks::Checks;
 pub use intervals::{Interval, read_intervals};
 pub use log_folder::{LogFolder, log_folder_bytes, read_log_folder, read_log_folder_showing};
 pub use recording::{RecordedReadings, read_recordings, recorded_machines};
+pub use run_files::{Sigmas, read_corrections, read_sigmas};
 pub use source::{Source, source_of};
 pub use tum::{StampedPose, TumReader, read_tum};
 

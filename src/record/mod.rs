@@ -37,6 +37,7 @@ use serde::{Deserialize, Serialize};
 use crate::time::Stamp;
 use crate::wire::{BootId, Topic};
 
+pub use self::ring::{FILE_BYTES, Ring, RingOptions, RingReader, Shelf};
 pub use any::{AnyMessage, AnyMessages, Channel, channels, library, metadata, read_any};
 pub use boots::{Published, RecordedBoot, Step};
 pub use check::{Checked, Checker, Missing, Stream};
@@ -49,7 +50,6 @@ pub use places::Places;
 pub use ranges::Ranges;
 pub use read::{Arrivals, Messages, machines, read_arrivals, read_arrivals_showing, read_messages};
 pub use recover::{inspect, recover};
-pub use ring::{FILE_BYTES, Ring, RingOptions, RingReader, Shelf};
 pub use write::{ChannelBook, RecordWriter, SYNC_EVERY};
 
 /// Name of the metadata record that tells of the site: `id`, `name`, and the origin of the site frame as

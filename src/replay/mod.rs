@@ -16,7 +16,7 @@ pub use check::{Checked, Difference, How, check};
 pub use outputs::Outputs;
 pub use summary::{Distribution, Moments, Outage, Summary, Tally, Times};
 
-use crate::estimator::{Estimator, Options};
+use crate::estimator::Method;
 use crate::sensors::{Arrival, Reading};
 
 /// What a caller can show of a run that goes on.
@@ -28,7 +28,7 @@ pub struct Progress {
     pub data_s: f64,
 }
 
-/// Runs the estimator over `arrivals` in their order; every estimate goes to `outputs`.
+/// Runs an estimator over `arrivals` in their order; every estimate goes to `outputs`.
 ///
 /// `clock` gives nanoseconds from any epoch and is asked around each half of each step.
 ///
@@ -36,12 +36,11 @@ pub struct Progress {
 /// If `arrivals` has an error or a file cannot be written.
 pub fn run<E: From<io::Error>>(
     arrivals: impl Iterator<Item = Result<Arrival, E>>,
-    options: Options,
+    mut estimator: impl Method,
     outputs: &mut Outputs,
     mut clock: impl FnMut() -> u64,
     mut progress: impl FnMut(Progress),
 ) -> Result<Summary, E> {
-    let mut estimator = Estimator::new(options);
     let mut tally = Tally::default();
     let begun = clock();
     for arrival in arrivals {
@@ -58,6 +57,7 @@ pub fn run<E: From<io::Error>>(
         if let Some(correction) = correction {
             tally.update.note(updated - predicted);
             tally.note_correction(&correction);
+            outputs.write_correction(arrival.arrival, &correction)?;
         }
         if let Some(estimate) = &estimate {
             tally.estimates += 1;
@@ -74,7 +74,7 @@ pub fn run<E: From<io::Error>>(
     Ok(tally.summary(clock() - begun, estimator.unfit_readings(), health))
 }
 
-fn write_events(estimator: &mut Estimator, tally: &mut Tally, outputs: &mut Outputs) -> io::Result<()> {
+fn write_events(estimator: &mut impl Method, tally: &mut Tally, outputs: &mut Outputs) -> io::Result<()> {
     estimator.take_events().iter().try_for_each(|event| {
         tally.note_event(event);
         outputs.write_event(event)

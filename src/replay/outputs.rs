@@ -4,8 +4,10 @@ use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
+use crate::estimator::Correction;
 use crate::export::write_tum_line;
 use crate::state::{Estimate, Event, Takeover};
+use crate::time::Stamp;
 
 use super::Summary;
 
@@ -14,12 +16,13 @@ const HEADER: &str =
 
 const TAKEOVERS: &str = "takeovers.csv";
 
-/// Writers of `world.tum`, `odom.tum`, `base_odom.tum`, `estimate.csv`, `events.jsonl` in one folder.
+/// Writers of `world.tum`, `odom.tum`, `base_odom.tum`, `estimate.csv`, `corrections.csv`, `events.jsonl` in one folder.
 pub struct Outputs {
     world: BufWriter<File>,
     odom: BufWriter<File>,
     base_odom: BufWriter<File>,
     estimates: BufWriter<File>,
+    corrections: BufWriter<File>,
     events: BufWriter<File>,
     /// Only of a run on two threads.
     takeovers: Option<BufWriter<File>>,
@@ -44,11 +47,14 @@ impl Outputs {
         let create = |name: &str| File::create(directory.join(name)).map(BufWriter::new);
         let mut estimates = create("estimate.csv")?;
         writeln!(estimates, "{HEADER}")?;
+        let mut corrections = create("corrections.csv")?;
+        writeln!(corrections, "t,correction_m")?;
         Ok(Self {
             world: create("world.tum")?,
             odom: create("odom.tum")?,
             base_odom: create("base_odom.tum")?,
             estimates,
+            corrections,
             events: create("events.jsonl")?,
             takeovers: None,
             directory: directory.to_owned(),
@@ -106,6 +112,18 @@ impl Outputs {
         writeln!(self.estimates, ",{}", estimate.mode)
     }
 
+    /// One line in `corrections.csv`, if it moved anything: how far the solution that the reading which arrived at
+    /// `now` led to moved the newest position.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub fn write_correction(&mut self, now: Stamp, correction: &Correction) -> io::Result<()> {
+        match correction.correction_m {
+            Some(correction_m) => writeln!(self.corrections, "{now},{correction_m}"),
+            None => Ok(()),
+        }
+    }
+
     /// One JSON object a line.
     ///
     /// # Errors
@@ -121,7 +139,9 @@ impl Outputs {
     /// Those of the file system.
     pub fn finish(mut self, summary: &Summary) -> io::Result<()> {
         let poses = [&mut self.world, &mut self.odom, &mut self.base_odom, &mut self.estimates];
-        for writer in poses.into_iter().chain([&mut self.events]).chain(&mut self.takeovers) {
+        for writer in
+            poses.into_iter().chain([&mut self.corrections, &mut self.events]).chain(&mut self.takeovers)
+        {
             writer.flush()?;
         }
         let mut file = File::create(self.directory.join("summary.json"))?;

@@ -1,6 +1,6 @@
 //! What a run amounts to: counts, times, consistency, outages.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::estimator::Correction;
 use crate::sensors::{Arrival, Reading};
@@ -37,7 +37,7 @@ pub struct Summary {
 }
 
 /// Mean and standard deviation.
-#[derive(Clone, Copy, Debug, Default, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Moments {
     /// Mean.
     pub mean: f64,
@@ -46,7 +46,7 @@ pub struct Moments {
 }
 
 /// A distribution of times, µs.
-#[derive(Clone, Copy, Debug, Default, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Distribution {
     /// Mean.
     pub mean: f64,
@@ -63,7 +63,7 @@ pub struct Distribution {
 }
 
 /// One outage of GNSS.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Outage {
     /// Stamp of the last good fix, s.
     pub start_s: f64,

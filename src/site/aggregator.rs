@@ -8,10 +8,14 @@ use tokio::time::MissedTickBehavior;
 
 use super::clock::SiteClock;
 use super::ended;
+use super::history::{self, Note};
 use super::inlet::{Inbound, Message, Token};
-use crate::fleet::{self, Fleet, FleetView, MachineView, PoseSample, Presence, Publication, Receipt};
+use crate::fleet::{
+    self, FixState, Fleet, FleetView, MachineView, PoseSample, Presence, Publication, Receipt,
+};
 use crate::frames::{self, Base, Frame as _, Imu, Odom, Pose, World};
 use crate::lie::{Mat6, Se3, So3, Vec3};
+use crate::sensors::{Reading, Sensor};
 use crate::time::Stamp;
 use crate::wire::{self, Odometry, RosMessage, Topic, WireError};
 
@@ -19,6 +23,31 @@ use crate::wire::{self, Odometry, RosMessage, Topic, WireError};
 pub(super) const FRAME_RATE_HZ: u32 = 10;
 /// Messages that are taken in at once, between two looks at the clock.
 const BATCH: usize = 256;
+
+/// Time in the cells of the site is handed over so often: frames.
+const CELLS_EVERY: u64 = 10 * FRAME_RATE_HZ as u64;
+
+/// Where the aggregator hands over to.
+pub(super) struct Outlets {
+    pub frames: watch::Sender<Arc<Frame>>,
+    pub history: Option<history::Inlet>,
+}
+
+impl Outlets {
+    fn remember(&self, fleet: &mut Fleet, with_cells: bool) {
+        let Some(history) = &self.history else { return };
+        fleet
+            .take_outage_changes()
+            .into_iter()
+            .for_each(|change| history.leave(Note::Outage(Box::new(change))));
+        if with_cells {
+            let cells = fleet.take_cells();
+            if !cells.is_empty() {
+                history.leave(Note::Cells(cells));
+            }
+        }
+    }
+}
 
 /// The whole site at one time. Everybody who shows something reads the newest one.
 #[derive(Debug)]
@@ -37,6 +66,7 @@ pub(super) struct Revision {
     refused: u64,
     presence: Presence,
     since: Stamp,
+    fixes: (FixState, Stamp),
     /// Ages grow all the time; people see seconds.
     whole_seconds: i64,
 }
@@ -72,6 +102,7 @@ impl Frame {
             refused: machine.link.refused,
             presence: machine.presence,
             since,
+            fixes: (machine.gnss.state, machine.gnss.since.0),
             whole_seconds: (self.view.time.0 - since).as_nanos() / 1_000_000_000,
         }
     }
@@ -82,7 +113,7 @@ pub(super) async fn run(
     mut fleet: Fleet,
     mut messages: mpsc::Receiver<Message>,
     mut tokens: mpsc::Receiver<Token>,
-    frames: watch::Sender<Arc<Frame>>,
+    outlets: Outlets,
     clock: SiteClock,
     mut stopped: watch::Receiver<bool>,
 ) {
@@ -94,13 +125,14 @@ pub(super) async fn run(
         // In this order: presence and frames must not wait behind a flood of messages.
         tokio::select! {
             biased;
-            () = ended(&mut stopped) => return,
+            () = ended(&mut stopped) => return outlets.remember(&mut fleet, true),
             Some(token) = tokens.recv() => on_token(&mut fleet, &token),
             _ = ticks.tick() => {
                 number += 1;
                 let now = clock.now();
                 fleet.advance(now);
-                frames.send_replace(Arc::new(Frame::of(&fleet, number, now)));
+                outlets.remember(&mut fleet, number % CELLS_EVERY == 0);
+                outlets.frames.send_replace(Arc::new(Frame::of(&fleet, number, now)));
             }
             count = messages.recv_many(&mut batch, BATCH) => {
                 batch.drain(..).for_each(|message| on_message(&mut fleet, &message));
@@ -158,6 +190,11 @@ fn on_publication(fleet: &mut Fleet, inbound: &Inbound) -> Result<(), WireError>
         Topic::Pose => fleet.pose(machine, pose_sample(&Odometry::decode(payload)?)?, *received),
         Topic::Odom => fleet.chassis(machine, odom_from_base(&Odometry::decode(payload)?)?, *received),
         Topic::Health => fleet.report(machine, report(wire::decode_report(payload)?)?, *received),
+        Topic::Sensor(Sensor::GnssLeft) => {
+            if let Reading::GnssLeft(fix) = wire::decode_reading(Sensor::GnssLeft, payload)? {
+                fleet.fix(machine, fix.sigma_enu_m.x.max(fix.sigma_enu_m.y), *received);
+            }
+        }
         // For the record only.
         Topic::Event | Topic::Journal | Topic::Sensor(_) => {}
     }
@@ -222,6 +259,7 @@ fn report(report: wire::MachineReport) -> Result<fleet::MachineReport, WireError
         origin: report.world.into(),
         cabin_from_imu: report.cabin_from_imu.pose().ok_or_else(|| no_motion("cabin_from_imu"))?,
         world_from_odom,
+        estimate_age_s: report.estimate_age_s,
         health: report.health,
     })
 }

@@ -10,9 +10,11 @@
 //! Nothing waits for something behind it: full channels drop and count, live clients get the newest frame.
 
 mod aggregator;
+mod alerts;
 mod backfill;
 mod clock;
 mod counters;
+mod history;
 mod http;
 mod inlet;
 mod sessions;
@@ -33,6 +35,7 @@ use crate::link;
 use backfill::Backfill;
 use clock::SiteClock;
 use counters::Counters;
+use history::History;
 use sessions::{Catalogue, Recorder};
 
 /// Messages between the callbacks and the aggregator: more than a second of forty machines. When it is full,
@@ -68,6 +71,9 @@ pub enum SiteError {
         /// What is wrong.
         message: String,
     },
+    /// What the site remembers cannot be kept.
+    #[error("cannot keep the history: {0}")]
+    History(std::io::Error),
     /// Zenoh does not open its endpoints.
     #[error("Zenoh cannot listen on {endpoints}: {message}")]
     Zenoh {
@@ -93,6 +99,7 @@ pub struct Site {
     inlet: inlet::Inlet,
     recorder: Option<Recorder>,
     backfill: Option<Backfill>,
+    history: History,
     stop: watch::Sender<bool>,
     tasks: Vec<JoinHandle<()>>,
 }
@@ -105,6 +112,7 @@ impl Site {
     pub async fn start(config: &config::Site) -> Result<Self, SiteError> {
         let accounts = Accounts::of(&config.record.directory)?;
         may_listen(&config.http, &accounts, "http.listen")?;
+        let channels = alerts::channels(&config.alerts)?;
         let listen = config.http.listen;
         let listener = TcpListener::bind(listen)
             .await
@@ -120,6 +128,7 @@ impl Site {
             origin: config.world.site_frame().origin(),
             time_zone: config.time_zone.clone(),
             software: env!("CARGO_PKG_VERSION").to_owned(),
+            tolerance_m: config.tolerance.position_sigma_m,
         };
         let (session, endpoints) = inlet::open(config).await?;
         let folder = config.record.directory.join("sessions");
@@ -134,6 +143,15 @@ impl Site {
             Err(error) => {
                 link::close(session).await;
                 return Err(error);
+            }
+        };
+
+        let history_folder = config.record.enabled.then_some(config.record.directory.as_path());
+        let history = match History::start(history_folder, clock) {
+            Ok(history) => history,
+            Err(error) => {
+                link::close(session).await;
+                return Err(SiteError::History(error));
             }
         };
 
@@ -152,9 +170,13 @@ impl Site {
             .map_err(|error| zenoh_error(config, error))?;
 
         let (stop, stopped) = watch::channel(false);
-        let fleet = Fleet::new(description);
+        let mut fleet = Fleet::new(description);
+        let archive = history.archive();
+        archive.open_outages().values().for_each(|outage| fleet.carry_on(outage.clone()));
+        let site_frame = *fleet.frame();
         let (frame_sender, frames) = watch::channel(Arc::new(aggregator::Frame::of(&fleet, 0, clock.now())));
-        let aggregator = aggregator::run(fleet, messages, tokens, frame_sender, clock, stopped.clone());
+        let outlets = aggregator::Outlets { frames: frame_sender, history: history.inlet() };
+        let aggregator = aggregator::run(fleet, messages, tokens, outlets, clock, stopped.clone());
         let trails = http::SharedTrails::default();
         let follower = http::follow(Arc::clone(&trails), frames.clone(), stopped.clone());
         let backfill = recorder.as_ref().map(|recorder| {
@@ -168,6 +190,16 @@ impl Site {
             };
             Backfill::start(books, outlets, frames.clone(), stopped.clone())
         });
+        let surroundings = alerts::Surroundings {
+            site: config.id.clone(),
+            archive: Arc::clone(&archive),
+            frames: frames.clone(),
+            record_directory: config.record.enabled.then(|| config.record.directory.clone()),
+            tolerance_m: config.tolerance.position_sigma_m,
+            clock,
+            stopped: stopped.clone(),
+        };
+        let watching = alerts::start(&config.alerts, channels, surroundings);
         let shared = http::Shared {
             frames,
             counters,
@@ -176,6 +208,15 @@ impl Site {
             record_directory: config.record.enabled.then(|| config.record.directory.clone()),
             recorder: recorder.as_ref().map(Recorder::progress),
             recorder_inbox: recorder.as_ref().map(Recorder::inbox),
+            archive,
+            alerts: http::AlertsDesk {
+                open: watching.open,
+                commands: watching.commands,
+                channels: watching.channels,
+            },
+            site: config.id.clone(),
+            site_frame,
+            time_zone: config.zone()?,
             clock,
             exports: http::turnstile(),
             stopped: stopped.clone(),
@@ -184,8 +225,9 @@ impl Site {
             trails: Arc::clone(&trails),
         };
         let server = http::serve(listener, shared, stopped);
-        let tasks = vec![tokio::spawn(aggregator), tokio::spawn(follower), tokio::spawn(server)];
-        Ok(Self { address, endpoints, session, inlet, recorder, backfill, stop, tasks })
+        let mut tasks = vec![tokio::spawn(aggregator), tokio::spawn(follower), tokio::spawn(server)];
+        tasks.extend(watching.tasks);
+        Ok(Self { address, endpoints, session, inlet, recorder, backfill, history, stop, tasks })
     }
 
     /// Where page and API are served.
@@ -225,6 +267,8 @@ impl Site {
                 abort.abort();
             }
         }
+        // The aggregator is gone, and with it the last inlet.
+        let _ = tokio::task::spawn_blocking(move || self.history.finish()).await;
         link::close(self.session).await;
     }
 }

@@ -6,6 +6,7 @@
 //! Complexity and derivation: `README.md` beside this file. Which measurements to believe is not decided here.
 
 mod elimination;
+mod history;
 mod kernels;
 mod node;
 mod prediction;
@@ -15,7 +16,10 @@ mod tile;
 
 use std::collections::VecDeque;
 
-use node::{Edge, Node, Room};
+use history::History;
+pub use history::{PastNode, WindowStart};
+pub use node::Edge;
+use node::{Node, Room};
 pub use prediction::{predict_covariance, predicted_position_covariance};
 use prior::Prior;
 use tile::Quad;
@@ -118,6 +122,8 @@ pub struct Smoother {
     room: Room,
     /// The motion behind some node that was last asked for.
     recent: Option<Recent>,
+    /// What has left the window, where it is asked for.
+    history: Option<History>,
     // Scratch, kept for its room.
     solution: Vec<Quad>,
     places: Vec<usize>,
@@ -147,6 +153,7 @@ impl Smoother {
             held: None,
             room: Room::default(),
             recent: None,
+            history: None,
             solution: Vec::new(),
             places: Vec::new(),
             newest_covariance: StateMatrix::zeros(),
@@ -175,6 +182,13 @@ impl Smoother {
         information: &StateMatrix,
     ) -> Result<(), SmootherError> {
         self.check_covered(stamp)?;
+        if self.history.is_some() {
+            self.solve_back_to(0);
+        }
+        if let Some(history) = &mut self.history {
+            history.close(&self.nodes);
+            history.begin(state, information);
+        }
         while let Some(node) = self.nodes.pop_front() {
             self.spare.push(node);
         }
@@ -439,6 +453,7 @@ impl Clone for Smoother {
         self.held = source.held;
         self.newest_covariance = source.newest_covariance;
         self.recent = None;
+        self.history.clone_from(&source.history);
     }
 }
 

@@ -13,7 +13,7 @@ use crate::time::Stamp;
 
 /// A factor that ties a node to a later one, not its neighbour.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Edge {
+pub enum Edge {
     /// A relative pose.
     Between(BetweenFactor),
     /// A turn by the chassis' gyroscope.

@@ -239,6 +239,9 @@ impl Smoother {
         };
         while self.nodes.len() > 1 && leaves(self.nodes[0].stamp, self.nodes.len()) {
             let Some(mut node) = self.nodes.pop_front() else { return };
+            if let Some(history) = &mut self.history {
+                history.note(&node);
+            }
             let nodes = &self.nodes;
             self.prior.replace(&mut node.front.message, |stamp| *linearization_at(nodes, stamp));
             self.spare.push(node);

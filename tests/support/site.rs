@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use holdfast::config;
-use holdfast::state::{GnssState, Health, Mode};
+use holdfast::state::{GnssState, Health, Mode, OutageReport};
 use holdfast::time::Stamp;
 use holdfast::wire::{
     self, Attachment, BootId, Header, MachineReport, Odometry, Origin, RigidMotion, RosMessage as _, Topic,
@@ -57,6 +57,9 @@ pub struct Machine {
     pub token: Option<zenoh::liveliness::LivelinessToken>,
     pub boot: BootId,
     pub sequences: BTreeMap<Topic, u64>,
+    pub mode: Mode,
+    pub gnss: GnssState,
+    pub outage: Option<OutageReport>,
 }
 
 impl Machine {
@@ -75,7 +78,8 @@ impl Machine {
         let boot = BootId(boot);
         let token =
             session.liveliness().declare_token(wire::alive_key("quarry", id, boot)).await.expect("token");
-        Self { id, session, token: Some(token), boot, sequences: BTreeMap::new() }
+        let (mode, gnss) = (Mode::Main, GnssState::Fixed);
+        Self { id, session, token: Some(token), boot, sequences: BTreeMap::new(), mode, gnss, outage: None }
     }
 
     pub async fn put(&mut self, topic: Topic, payload: Vec<u8>) {
@@ -124,16 +128,16 @@ impl Machine {
             record: None,
             health: Health {
                 stamp_ns: now().as_nanos(),
-                mode: Mode::Main,
+                mode: self.mode,
                 waits_for: None,
-                gnss: GnssState::Fixed,
+                gnss: self.gnss,
                 gnss_inflation: [1.0, 1.0],
                 position_sigma_m: Some(0.02),
                 heading_sigma_deg: Some(0.1),
                 worst_test_ratio: 0.2,
                 worst_test_sensor: None,
                 sensors: vec![],
-                outage: None,
+                outage: self.outage.clone(),
                 updates: 1,
                 update_us: 1.0,
                 gyro_bias: [0.0; 3],

@@ -38,7 +38,9 @@ describe("messages on arrival", () => {
     expect(() => arrive(delta(1, [machineView({ severity: "splendid" as never })]))).toThrow(
       "severity: expected one of good, warning, bad, offline",
     );
-    expect(() => arrive({ type: "gossip" })).toThrow('message.type: expected "snapshot", "delta" or "error"');
+    expect(() => arrive({ type: "gossip" })).toThrow(
+      'message.type: expected "snapshot", "delta", "alerts" or "error"',
+    );
     expect(() => arrive([])).toThrow("message: expected an object");
   });
 

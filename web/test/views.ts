@@ -38,6 +38,7 @@ export function machineView(changes: Partial<MachineView> = {}): MachineView {
     pose: poseView(),
     health: {
       age_s: 0.4,
+      estimate_age_s: 0.01,
       report: {
         stamp_ns: 1_795_410_000_123_456_000,
         mode: "main",
@@ -59,6 +60,7 @@ export function machineView(changes: Partial<MachineView> = {}): MachineView {
         accel_bias: [0.05, 0, -0.02],
       },
     },
+    gnss: { state: "fixed", since: TIME, mode: "main", outage: null },
     link: {
       pose_rate_hz: 100,
       received: 4000,

@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 use super::Shared;
 use super::problem::Problem;
 use super::visitor::Visitor;
-use crate::fleet::{FleetView, MachineView};
+use crate::fleet::{Alert, AlertView, FleetView, MachineView};
 use crate::site::aggregator::{FRAME_RATE_HZ, Frame, Revision};
 use crate::site::counters::{add, get};
 use crate::site::ended;
@@ -64,6 +64,12 @@ pub(super) enum LiveMessage {
         /// Deltas that were skipped since the last message, because this client was slow.
         dropped: u64,
     },
+    /// To clients that asked for alerts, at once and whenever one changes: all that are not both over and seen.
+    Alerts {
+        /// One more than in the last message.
+        seq: u64,
+        alerts: Vec<AlertView>,
+    },
     /// The answer to a request that could not be understood; everything goes on as before.
     Error { detail: String },
 }
@@ -80,6 +86,9 @@ pub(super) enum Request {
         /// Only these machines; all if it is left out.
         #[serde(default)]
         machines: Option<Vec<String>>,
+        /// Whether alerts are wanted, too; not if it is left out.
+        #[serde(default)]
+        alerts: bool,
     },
 }
 
@@ -116,6 +125,7 @@ async fn serve(mut socket: WebSocket, shared: Shared, visitor: Visitor) {
 async fn talk(socket: &mut WebSocket, shared: &Shared, visitor: &Visitor) -> Result<(), axum::Error> {
     let mut frames = shared.frames.clone();
     let mut stopped = shared.stopped.clone();
+    let mut open = shared.alerts.open.clone();
     let frame = Arc::clone(&frames.borrow_and_update());
     let mut client = Client::new(frame.number);
     let snapshot = client.snapshot(&frame);
@@ -137,14 +147,23 @@ async fn talk(socket: &mut WebSocket, shared: &Shared, visitor: &Visitor) -> Res
                 None => return Ok(()),
                 Some(Err(error)) => return Err(error),
                 Some(Ok(Message::Text(text))) => {
+                    let had_alerts = client.alerts;
                     if let Err(detail) = client.request(text.as_str()) {
                         let answer = serde_json::json!({"type": "error", "detail": detail});
                         send(socket, Message::text(answer.to_string())).await?;
+                    }
+                    if client.alerts && !had_alerts {
+                        let alerts = Arc::clone(&open.borrow_and_update());
+                        send(socket, client.alerts(&alerts)).await?;
                     }
                 }
                 // Pings are answered by the library.
                 Some(Ok(_)) => {}
             },
+            Ok(()) = open.changed(), if client.alerts => {
+                let alerts = Arc::clone(&open.borrow_and_update());
+                send(socket, client.alerts(&alerts)).await?;
+            }
             changed = frames.changed() => {
                 if changed.is_err() {
                     return Ok(());
@@ -172,6 +191,8 @@ struct Client {
     /// Frames from one delta to the next.
     period: u64,
     only: Option<Vec<String>>,
+    /// Whether it asked for alerts.
+    alerts: bool,
     sent: BTreeMap<String, Revision>,
     seq: u64,
     /// Number of the frame that was looked at last.
@@ -186,6 +207,7 @@ impl Client {
         Self {
             period: period(RATE_DEFAULT_HZ),
             only: None,
+            alerts: false,
             sent: BTreeMap::new(),
             seq: 0,
             looked_at: number,
@@ -237,8 +259,20 @@ impl Client {
         )))
     }
 
+    /// All alerts that are open, of the machines that it wants, and the site's.
+    fn alerts(&mut self, open: &[Alert]) -> Message {
+        self.seq += 1;
+        let is_wanted = |alert: &&Alert| match (&self.only, &alert.machine) {
+            (Some(only), Some(machine)) => only.contains(machine),
+            _ => true,
+        };
+        let alerts: Vec<AlertView> = open.iter().filter(is_wanted).map(AlertView::from).collect();
+        let message = serde_json::json!({"type": "alerts", "seq": self.seq, "alerts": alerts});
+        Message::text(message.to_string())
+    }
+
     fn request(&mut self, text: &str) -> Result<(), String> {
-        let Request::Subscribe { rate_hz, machines } =
+        let Request::Subscribe { rate_hz, machines, alerts } =
             serde_json::from_str(text).map_err(|error| error.to_string())?;
         let rate_hz = rate_hz.unwrap_or(RATE_DEFAULT_HZ);
         if !rate_hz.is_finite() || rate_hz <= 0.0 {
@@ -248,6 +282,7 @@ impl Client {
             return Err(format!("more than {MACHINES_MAX} machines"));
         }
         self.period = period(rate_hz);
+        self.alerts = alerts;
         if machines != self.only {
             // Those that were not wanted before may have changed in the meantime.
             self.sent.clear();
@@ -278,6 +313,7 @@ mod tests {
             origin: Geodetic { latitude_deg: 47.0, longitude_deg: 8.0, altitude_m: 400.0 },
             time_zone: "UTC".to_owned(),
             software: "0".to_owned(),
+            tolerance_m: 0.05,
         })
     }
 

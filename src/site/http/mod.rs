@@ -1,5 +1,6 @@
 //! The site's HTTP door: API, live WebSocket, metrics, page. Reads the newest frame; asks nothing back.
 
+mod alerts;
 mod api;
 mod assets;
 mod audit;
@@ -12,9 +13,11 @@ mod input;
 mod live;
 mod metrics;
 mod origin;
+mod outages;
 mod people;
 mod plan;
 mod problem;
+mod query;
 mod ready;
 mod routes;
 mod sessions;
@@ -35,16 +38,20 @@ use axum::routing::get;
 use axum::serve::ListenerExt as _;
 use axum::{Extension, Router, middleware};
 use tokio::net::TcpListener;
-use tokio::sync::{Semaphore, watch};
+use tokio::sync::{Semaphore, mpsc, watch};
 use utoipa::OpenApi;
 use utoipa_axum::router::UtoipaMethodRouterExt as _;
 use utoipa_axum::routes;
 
 use super::aggregator::Frame;
+use super::alerts::{Acknowledge, Channel};
 use super::clock::SiteClock;
 use super::counters::Counters;
 use super::ended;
+use super::history::Archive;
 use super::sessions::{Catalogue, Command, Progress};
+use crate::fleet::Alert;
+use crate::frames::geodesy::SiteFrame;
 pub(super) use export::turnstile;
 pub(super) use plan::Plan;
 use problem::Problem;
@@ -63,6 +70,12 @@ pub(super) struct Shared {
     pub record_directory: Option<PathBuf>,
     pub recorder: Option<watch::Receiver<Progress>>,
     pub recorder_inbox: Option<SyncSender<Command>>,
+    pub archive: Arc<Archive>,
+    pub alerts: AlertsDesk,
+    /// The site's id.
+    pub site: String,
+    pub site_frame: SiteFrame,
+    pub time_zone: jiff::tz::TimeZone,
     pub clock: SiteClock,
     /// How many exports may be made at once.
     pub exports: Arc<Semaphore>,
@@ -70,6 +83,14 @@ pub(super) struct Shared {
     pub people: Arc<People>,
     pub plan: Plan,
     pub trails: SharedTrails,
+}
+
+/// What the handlers see of the alerts.
+#[derive(Clone)]
+pub(super) struct AlertsDesk {
+    pub open: watch::Receiver<Arc<Vec<Alert>>>,
+    pub commands: mpsc::Sender<Acknowledge>,
+    pub channels: Arc<Vec<Channel>>,
 }
 
 impl Shared {
@@ -92,12 +113,14 @@ impl Shared {
     ),
     tags(
         (name = "fleet", description = "The machines, now"),
+        (name = "alerts", description = "What somebody should look at"),
+        (name = "outages", description = "When, where and why GNSS failed"),
         (name = "sessions", description = "Recordings"),
         (name = "accounts", description = "Who may do what. As long as there are no accounts, and only this \
                                            computer reaches the server, nobody is asked"),
         (name = "operation", description = "Of the server itself")
     ),
-    components(schemas(Problem, live::LiveMessage, live::Request))
+    components(schemas(Problem, live::LiveMessage, live::Request, outages::OutageState))
 )]
 struct Documentation;
 
@@ -112,6 +135,13 @@ fn routes() -> Routes {
         .viewer(routes!(live::live))
         .viewer(routes!(plan::plan))
         .admin(routes!(plan::put).layer(plan_body))
+        .viewer(routes!(alerts::list))
+        .operator(routes!(alerts::acknowledge))
+        .operator(routes!(alerts::test))
+        .viewer(routes!(outages::list))
+        .viewer(routes!(outages::statistics))
+        .viewer(routes!(outages::outage))
+        .viewer(routes!(outages::shadow_map))
         .viewer(routes!(sessions::list))
         .operator(routes!(sessions::start))
         .viewer(routes!(sessions::session))

@@ -5,10 +5,19 @@
  */
 
 import {
+  type Acknowledgement,
+  ALERT_SEVERITIES,
+  ALERT_STATES,
+  type Alerts,
+  type AlertView,
+  type Budget,
+  type CurrentOutage,
   type Delta,
   type Ellipse95,
+  FIX_STATES,
   type FleetView,
   GNSS_STATES,
+  type GnssView,
   type Health,
   type HealthView,
   type LinkView,
@@ -21,6 +30,7 @@ import {
   PRESENCES,
   RECORDING_STATES,
   type RecordingView,
+  RULES,
   SENSORS,
   SESSION_STATES,
   SEVERITIES,
@@ -53,8 +63,9 @@ export const checkLiveMessage: Check<LiveMessage> = (value, path) => {
   const kind = record(value, path).type;
   if (kind === "snapshot") return checkSnapshot(value, path);
   if (kind === "delta") return checkDelta(value, path);
+  if (kind === "alerts") return checkAlerts(value, path);
   if (kind === "error") return checkError(value, path);
-  throw new MessageError(`${path}.type`, '"snapshot", "delta" or "error"', kind);
+  throw new MessageError(`${path}.type`, '"snapshot", "delta", "alerts" or "error"', kind);
 };
 
 export function checkSessions(value: unknown): SessionsView {
@@ -191,7 +202,34 @@ const health = object<Health>({
   accel_bias: vector3,
 });
 
-const healthView = object<HealthView>({ age_s: number, report: health });
+const healthView = object<HealthView>({
+  age_s: number,
+  estimate_age_s: nullable(number),
+  report: health,
+});
+
+const budget = object<Budget>({
+  tolerance_m: number,
+  time_s: nullable(number),
+  distance_m: nullable(number),
+});
+
+const currentOutage = object<CurrentOutage>({
+  id: text,
+  cause: oneOf(FIX_STATES),
+  start: time,
+  duration_s: number,
+  travelled_m: nullable(number),
+  position_sigma_m: nullable(number),
+  budget: nullable(budget),
+});
+
+const gnss = object<GnssView>({
+  state: oneOf(FIX_STATES),
+  since: time,
+  mode: nullable(oneOf(MODES)),
+  outage: nullable(currentOutage),
+});
 
 const link = object<LinkView>({
   pose_rate_hz: number,
@@ -214,12 +252,34 @@ export const checkMachine = object<MachineView>({
   severity: oneOf(SEVERITIES),
   pose: nullable(pose),
   health: nullable(healthView),
+  gnss,
   link,
 });
 
 export const checkFleet = object<FleetView>({ site, time, machines: list(checkMachine) });
 
 const checkSnapshot = object<Snapshot>({ type: oneOf(["snapshot"]), seq: number, fleet: checkFleet });
+
+const acknowledgement = object<Acknowledgement>({ by: text, at: time, note: text });
+
+const alert = object<AlertView>({
+  id: text,
+  rule: oneOf(RULES),
+  severity: oneOf(ALERT_SEVERITIES),
+  machine: nullable(text),
+  part: nullable(text),
+  message: text,
+  value: number,
+  worst: number,
+  state: oneOf(ALERT_STATES),
+  raised: time,
+  times: number,
+  cleared: nullable(time),
+  acknowledged: nullable(acknowledgement),
+  changed: time,
+});
+
+const checkAlerts = object<Alerts>({ type: oneOf(["alerts"]), seq: number, alerts: list(alert) });
 
 const checkError = object<LiveError>({ type: oneOf(["error"]), detail: text });
 

@@ -4,15 +4,15 @@
  */
 
 export interface paths {
-    "/api/openapi.json": {
+    "/api/v1/alerts": {
         parameters: {
             query?: never;
             header?: never;
             path?: never;
             cookie?: never;
         };
-        /** This document. */
-        get: operations["openapi"];
+        /** Alerts, also those that are over. */
+        get: operations["alerts"];
         put?: never;
         post?: never;
         delete?: never;
@@ -21,17 +21,34 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/audit": {
+    "/api/v1/alerts/test": {
         parameters: {
             query?: never;
             header?: never;
             path?: never;
             cookie?: never;
         };
-        /** Who changed what, when and from where. The newest 100 000 are kept. */
-        get: operations["list_changes"];
+        get?: never;
         put?: never;
-        post?: never;
+        /** Sends a test through all channels, and waits for what they say; nothing is tried twice. */
+        post: operations["test_alerts"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/alerts/{id}/acknowledge": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /** Somebody saw the alert. */
+        post: operations["acknowledge_alert"];
         delete?: never;
         options?: never;
         head?: never;
@@ -75,23 +92,6 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/live-ticket": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        get?: never;
-        put?: never;
-        /** A ticket with which a program that can send no headers opens one WebSocket: `/api/v1/live?ticket=`. */
-        post: operations["live_ticket"];
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
     "/api/v1/machines": {
         parameters: {
             query?: never;
@@ -126,18 +126,15 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/machines/{id}/trajectory": {
+    "/api/v1/outages": {
         parameters: {
             query?: never;
             header?: never;
             path?: never;
             cookie?: never;
         };
-        /**
-         * Where a machine was in the last hour, as it was live: a point a second, while it is online. Whole sessions are
-         *     in their recordings.
-         */
-        get: operations["trajectory"];
+        /** GNSS outages and lost links of all machines. */
+        get: operations["outages"];
         put?: never;
         post?: never;
         delete?: never;
@@ -146,15 +143,15 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/me": {
+    "/api/v1/outages/statistics": {
         parameters: {
             query?: never;
             header?: never;
             path?: never;
             cookie?: never;
         };
-        /** Who asks, and what it may do. */
-        get: operations["me"];
+        /** Outages added up by machine and by day of the site's time zone. */
+        get: operations["outage_statistics"];
         put?: never;
         post?: never;
         delete?: never;
@@ -163,37 +160,16 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/me/password": {
+    "/api/v1/outages/{id}": {
         parameters: {
             query?: never;
             header?: never;
             path?: never;
             cookie?: never;
         };
-        get?: never;
-        /** Changes one's own password, and ends all sign-ins of the account. */
-        put: operations["change_password"];
-        post?: never;
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/api/v1/plan": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        /** The site plan as GeoJSON (RFC 7946) in WGS84; empty as long as nobody gave one. */
-        get: operations["plan"];
-        /**
-         * Gives the site another plan: a GeoJSON feature collection (RFC 7946) in WGS84, 4 MiB and 200 000 points at most.
-         *     With `If-Match`, only if the plan is still the one that was seen.
-         */
-        put: operations["put_plan"];
+        /** One outage, with its sigma over time and the machine's track. */
+        get: operations["outage"];
+        put?: never;
         post?: never;
         delete?: never;
         options?: never;
@@ -208,11 +184,11 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** Recordings, and whether what arrives is recorded. */
-        get: operations["list_sessions"];
+        /** All recordings, and whether what arrives is recorded. */
+        get: operations["list"];
         put?: never;
         /** Starts a session; the one that runs ends, and no message is lost in between. */
-        post: operations["start_session"];
+        post: operations["start"];
         delete?: never;
         options?: never;
         head?: never;
@@ -234,7 +210,7 @@ export interface paths {
         options?: never;
         head?: never;
         /** Writes name, notes or tags of a session; what is left out stays as it is. */
-        patch: operations["edit_session"];
+        patch: operations["edit"];
         trace?: never;
     };
     "/api/v1/sessions/{id}/export": {
@@ -287,116 +263,28 @@ export interface paths {
         get?: never;
         put?: never;
         /** Ends the session that runs. Nothing is recorded until another one is started, or begins by itself. */
-        post: operations["stop_session"];
+        post: operations["stop"];
         delete?: never;
         options?: never;
         head?: never;
         patch?: never;
         trace?: never;
     };
-    "/api/v1/sign-in": {
+    "/api/v1/shadow-map": {
         parameters: {
             query?: never;
             header?: never;
             path?: never;
             cookie?: never;
         };
-        get?: never;
-        put?: never;
-        /** Signs in: the cookie of the answer is for the browser. Ends the sign-in of a cookie that is sent along. */
-        post: operations["sign_in"];
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/api/v1/sign-out": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        get?: never;
-        put?: never;
-        /** Ends the sign-in of the cookie, if there is one. */
-        post: operations["sign_out"];
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/api/v1/tokens": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        /** One's own tokens; for admins those of all. */
-        get: operations["list_tokens"];
-        put?: never;
-        /** Makes a token. Its secret is in this answer only. */
-        post: operations["add_token"];
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/api/v1/tokens/{id}": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        get?: never;
+        /** Where machines lack good GNSS: the time they spent in each cell, and the share of it without. */
+        get: operations["shadow_map"];
         put?: never;
         post?: never;
-        /** Revokes a token: one's own, or as admin anybody's. */
-        delete: operations["revoke_token"];
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/api/v1/users": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        /** All accounts. */
-        get: operations["list_users"];
-        put?: never;
-        /** Makes an account. */
-        post: operations["add_user"];
         delete?: never;
         options?: never;
         head?: never;
         patch?: never;
-        trace?: never;
-    };
-    "/api/v1/users/{name}": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        get?: never;
-        put?: never;
-        post?: never;
-        /** Removes an account with its tokens and sign-ins. The only admin stays. */
-        delete: operations["remove_user"];
-        options?: never;
-        head?: never;
-        /** Changes role or password of an account. The only admin stays one. */
-        patch: operations["edit_user"];
         trace?: never;
     };
     "/healthz": {
@@ -454,35 +342,165 @@ export interface paths {
 export type webhooks = Record<string, never>;
 export interface components {
     schemas: {
-        /** @description A change that somebody made, or a try to sign in. */
-        ChangeView: {
-            /** @description From which address. */
-            from: string;
-            /**
-             * Format: int64
-             * @description Counts them.
-             */
-            number: number;
-            /** @description What came of it: a status, or words. */
-            outcome: string;
+        /** @description What somebody writes who saw an alert. */
+        AcknowledgeRequest: {
+            /** @description At most 2000 characters; may be left out. */
+            note?: string;
+        };
+        /** @description Who saw an alert, as the API says it. */
+        AcknowledgementView: {
             /**
              * Format: date-time
              * @description When.
              */
-            time: string;
-            /** @description How that is known: `sign_in`, `token`, `nobody`, `command_line`. */
-            via: string;
-            /** @description What was asked for. */
-            what: string;
-            /** @description Who; empty where nobody has an account. */
-            who: string;
+            at: string;
+            /** @description Who. */
+            by: string;
+            /** @description What they wrote; may be empty. */
+            note: string;
         };
-        /** @description Changes. */
-        ChangesView: {
+        /**
+         * @description How much an alert matters.
+         * @enum {string}
+         */
+        AlertSeverity: "info" | "warning" | "critical";
+        /**
+         * @description Where an alert stands.
+         * @enum {string}
+         */
+        AlertState: "active" | "acknowledged" | "cleared_unacknowledged" | "cleared";
+        /** @description An alert, as the API says it. */
+        AlertView: {
+            acknowledged?: components["schemas"]["AcknowledgementView"] | null;
+            /**
+             * Format: date-time
+             * @description When it changed last.
+             */
+            changed: string;
+            /**
+             * Format: date-time
+             * @description When it was over; `null` while it goes on.
+             */
+            cleared?: string | null;
+            /** @description Unique on the site. */
+            id: string;
+            /** @description Whose; `null` if it is the site's. */
+            machine?: string | null;
+            /** @description In words, as it was when it was raised. */
+            message: string;
+            /** @description Which part of the machine: a sensor's name. */
+            part?: string | null;
+            /**
+             * Format: date-time
+             * @description When it was raised first.
+             */
+            raised: string;
+            /** @description Which rule. */
+            rule: components["schemas"]["RuleKind"];
+            /** @description How much it matters. */
+            severity: components["schemas"]["AlertSeverity"];
+            /** @description Where it stands. */
+            state: components["schemas"]["AlertState"];
+            /**
+             * Format: int32
+             * @description How often it was raised before somebody saw it.
+             */
+            times: number;
+            /**
+             * Format: double
+             * @description What the rule watches when it was raised, in the unit of its threshold in the site file.
+             */
+            value: number;
+            /**
+             * Format: double
+             * @description The worst since then.
+             */
+            worst: number;
+        };
+        /** @description A part of the list of alerts. */
+        AlertsView: {
             /** @description Newest first. */
-            changes: components["schemas"]["ChangeView"][];
-            /** @description The cursor of those before; `null` if there are none. */
+            alerts: components["schemas"]["AlertView"][];
+            /** @description The `cursor` with which the list goes on; `null` at its end. */
             next?: string | null;
+        };
+        /** @description What is left until one sigma of the position passes the site's tolerance. */
+        Budget: {
+            /**
+             * Format: double
+             * @description Way that is left, m; 0 if the tolerance is passed, `null` if the sigma does not grow with the way.
+             */
+            distance_m?: number | null;
+            /**
+             * Format: double
+             * @description Time that is left, s; 0 if the tolerance is passed, `null` if the sigma does not grow with time.
+             */
+            time_s?: number | null;
+            /**
+             * Format: double
+             * @description The site's tolerance: one sigma along the worst horizontal direction, m.
+             */
+            tolerance_m: number;
+        };
+        /** @description Outages of one cause. */
+        CauseTally: {
+            /** @description What was wrong when they began. */
+            cause: components["schemas"]["FixState"];
+            /**
+             * Format: double
+             * @description How long they lasted, s.
+             */
+            duration_s: number;
+            /**
+             * Format: int64
+             * @description How many began.
+             */
+            outages: number;
+        };
+        /** @description What a receiver said to a test. */
+        ChannelTest: {
+            /** @description `webhook:{name}` or `mail`. */
+            channel: string;
+            /** @description Whether it took the test. */
+            delivered: boolean;
+            /** @description What it said, or why it was not told. */
+            said: string;
+        };
+        /** @description The outage that goes on, with what is left. */
+        CurrentOutage: {
+            budget?: components["schemas"]["Budget"] | null;
+            /** @description What was wrong when it began. */
+            cause: components["schemas"]["FixState"];
+            /**
+             * Format: double
+             * @description Since its start, s.
+             */
+            duration_s: number;
+            /** @description As in `/api/v1/outages/{id}`. */
+            id: string;
+            /**
+             * Format: double
+             * @description One sigma of the position along its worst horizontal direction, m.
+             */
+            position_sigma_m?: number | null;
+            /**
+             * Format: date-time
+             * @description Since when.
+             */
+            start: string;
+            /**
+             * Format: double
+             * @description Way since its start, m; `null` if the link is lost.
+             */
+            travelled_m?: number | null;
+        };
+        /** @description One day of a machine. */
+        DayStatistics: components["schemas"]["Tally"] & {
+            /**
+             * Format: date
+             * @description By the site's time zone, such as `2026-11-23`.
+             */
+            day: string;
         };
         /** @description An ellipse in the horizontal plane. */
         Ellipse95: {
@@ -502,6 +520,11 @@ export interface components {
              */
             semi_minor_m: number;
         };
+        /**
+         * @description How an outage ended.
+         * @enum {string}
+         */
+        Ending: "recovered" | "link_back" | "restarted" | "unheard";
         /** @description One of the files of a session. */
         FileView: {
             /**
@@ -537,6 +560,11 @@ export interface components {
             /** @description How whole it is. */
             state: components["schemas"]["SessionState"];
         };
+        /**
+         * @description What the site knows of a machine's fixes.
+         * @enum {string}
+         */
+        FixState: "fixed" | "float" | "degraded" | "frozen" | "jumping" | "silent" | "link_lost" | "recovering";
         /** @description The whole site at one time. */
         FleetView: {
             /** @description In the order of their ids. */
@@ -554,6 +582,18 @@ export interface components {
          * @enum {string}
          */
         GnssState: "fixed" | "degraded" | "frozen" | "jumping" | "silent" | "recovering";
+        /** @description A machine's fixes, now. */
+        GnssView: {
+            mode?: components["schemas"]["Mode"] | null;
+            outage?: components["schemas"]["CurrentOutage"] | null;
+            /**
+             * Format: date-time
+             * @description Since when.
+             */
+            since: string;
+            /** @description State of the fixes. */
+            state: components["schemas"]["FixState"];
+        };
         /** @description State of a machine's estimator. */
         Health: {
             /** @description Accelerometer bias, m/s², in the IMU frame. */
@@ -613,6 +653,11 @@ export interface components {
              * @description Since it arrived, by the site's clock, s.
              */
             age_s: number;
+            /**
+             * Format: double
+             * @description How old its newest estimate was when it said this, by its own clock, s; `null` before the start.
+             */
+            estimate_age_s?: number | null;
             /** @description As the machine sent it. */
             report: components["schemas"]["Health"];
         };
@@ -689,14 +734,34 @@ export interface components {
             /** @enum {string} */
             type: "delta";
         } | {
+            alerts: components["schemas"]["AlertView"][];
+            /**
+             * Format: int64
+             * @description One more than in the last message.
+             */
+            seq: number;
+            /** @enum {string} */
+            type: "alerts";
+        } | {
             detail: string;
             /** @enum {string} */
             type: "error";
+        };
+        /** @description One machine. */
+        MachineStatistics: {
+            /** @description Day by day, without those on which nothing was heard of it. */
+            days: components["schemas"]["DayStatistics"][];
+            /** @description Its id. */
+            machine: string;
+            /** @description Over the whole span. */
+            total: components["schemas"]["Tally"];
         };
         /** @description One machine at one time. */
         MachineView: {
             /** @description 16 hex digits, drawn at each start of the machine's software; empty if not known yet. */
             boot: string;
+            /** @description Its fixes, and the outage that goes on. */
+            gnss: components["schemas"]["GnssView"];
             health?: components["schemas"]["HealthView"] | null;
             /** @description As in keys. */
             id: string;
@@ -722,57 +787,11 @@ export interface components {
             /** @description In the order of their ids. */
             machines: components["schemas"]["MachineView"][];
         };
-        /** @description Who asks, and what it may do. */
-        MeView: {
-            /** @description Whether there are accounts. Without any, whoever reaches the server may do everything. */
-            accounts: boolean;
-            /**
-             * Format: date-time
-             * @description Until when the token is good.
-             */
-            expires?: string | null;
-            /** @description The account; `null` where there are none. */
-            name?: string | null;
-            /** @description What it may do now. */
-            role: components["schemas"]["Role"];
-            /** @description The token that was shown, if one was. */
-            token?: string | null;
-        };
         /**
          * @description What the estimate rests on.
          * @enum {string}
          */
         Mode: "initializing" | "main" | "fallback" | "imu_only";
-        /** @description A token that is to be made. */
-        NewToken: {
-            /**
-             * Format: int32
-             * @description Good for so many days: 90 if it is left out. One that is made with a token ends with that at the latest.
-             */
-            days?: number | null;
-            /** @description What it is for. */
-            label: string;
-            role?: components["schemas"]["Role"] | null;
-            /** @description Whose it is to be: one's own if it is left out. For admins only. */
-            user?: string | null;
-        };
-        /** @description A new token with its secret, which is shown this once. */
-        NewTokenView: {
-            /** @description To be sent as `Authorization: Bearer`. */
-            secret: string;
-            token: components["schemas"]["TokenView"];
-        };
-        /** @description An account that is to be made. */
-        NewUser: {
-            /** @description Letters, digits, '.', '_', '@' and '-'; its case does not matter. */
-            name: string;
-            /**
-             * Format: password
-             * @description 10 to 200 characters, and not the name.
-             */
-            password: string;
-            role: components["schemas"]["Role"];
-        };
         /** @description What is to be written to a session; what is left out stays as it is. */
         NotesChange: {
             /**
@@ -790,6 +809,13 @@ export interface components {
              * @default null
              */
             tags: string[] | null;
+        };
+        /** @description An outage with all that is known of it. */
+        OutageDetail: components["schemas"]["OutageView"] & {
+            /** @description Sigma over time, a few hundred samples at most, however long it lasted. */
+            sigma: components["schemas"]["SigmaView"][];
+            /** @description Where the machine was, a few hundred points at most. */
+            track: components["schemas"]["TrackView"][];
         };
         /** @description A GNSS outage that goes on, or the last one that ended. */
         OutageReport: {
@@ -816,18 +842,75 @@ export interface components {
              */
             travelled_m: number;
         };
-        /** @description A password for the one before. */
-        PasswordChange: {
+        /**
+         * @description Whether an outage goes on.
+         * @enum {string}
+         */
+        OutageState: "open" | "ended";
+        /** @description An outage. */
+        OutageView: {
+            /** @description What was wrong when it began. */
+            cause: components["schemas"]["FixState"];
             /**
-             * Format: password
-             * @description From now on: 10 to 200 characters, and not the name.
+             * Format: double
+             * @description So far, s.
              */
-            new: string;
+            duration_s: number;
             /**
-             * Format: password
-             * @description The one before.
+             * Format: date-time
+             * @description When it ended; `null` while it goes on.
              */
-            old: string;
+            end?: string | null;
+            ended_by?: components["schemas"]["Ending"] | null;
+            /** @description Unique on the site. */
+            id: string;
+            /**
+             * Format: double
+             * @description By how much `world_from_odom` moved the machine when it ended, m; `null` if it did not, or did not say.
+             */
+            jump_m?: number | null;
+            /** @description The machine's id. */
+            machine: string;
+            place?: components["schemas"]["PlaceView"] | null;
+            /** @description One sigma of the position. */
+            position_sigma: components["schemas"]["SigmaSummary"];
+            /**
+             * Format: date-time
+             * @description When it began, by the site's clock.
+             */
+            start: string;
+            /**
+             * Format: double
+             * @description Way since its start, m; `null` if nobody knows.
+             */
+            travelled_m?: number | null;
+        };
+        /** @description A part of the list of outages. */
+        OutagesView: {
+            /** @description The `cursor` with which the list goes on; `null` at its end. */
+            next?: string | null;
+            /** @description Newest first. */
+            outages: components["schemas"]["OutageView"][];
+        };
+        /** @description A place on the site. */
+        PlaceView: {
+            /**
+             * Format: double
+             * @description Above the ellipsoid, m.
+             */
+            altitude_m: number;
+            /**
+             * Format: double
+             * @description Degrees, north positive.
+             */
+            latitude_deg: number;
+            /**
+             * Format: double
+             * @description Degrees, east positive.
+             */
+            longitude_deg: number;
+            /** @description In the site frame: east, north, up, m. */
+            position_m: number[];
         };
         /** @description Where a machine is. */
         PoseView: {
@@ -943,6 +1026,8 @@ export interface components {
         };
         /** @description What a client may send. */
         Request: {
+            /** @description Whether alerts are wanted, too; not if it is left out. */
+            alerts?: boolean;
             /** @description Only these machines; all if it is left out. */
             machines?: string[] | null;
             /**
@@ -954,10 +1039,10 @@ export interface components {
             type: "subscribe";
         };
         /**
-         * @description What somebody may do: each role includes those before it.
+         * @description What is watched.
          * @enum {string}
          */
-        Role: "viewer" | "operator" | "admin";
+        RuleKind: "outage_longer" | "sigma_over_tolerance" | "machine_lost" | "clock_off" | "disk_low" | "estimator_late" | "sensor_silent";
         /**
          * @description Where a reading comes from; also the last part of its Zenoh key and the name of its log file.
          * @enum {string}
@@ -1044,8 +1129,6 @@ export interface components {
         };
         /** @description All sessions. */
         SessionsView: {
-            /** @description The cursor of those before; `null` if there are none. */
-            next?: string | null;
             /** @description What the recorder does. */
             recording: components["schemas"]["RecordingView"];
             /** @description Newest first. */
@@ -1056,15 +1139,102 @@ export interface components {
          * @enum {string}
          */
         Severity: "good" | "warning" | "bad" | "offline";
-        /** @description Who wants to sign in. */
-        SignIn: {
-            /** @description Of the account. */
-            name: string;
+        /** @description One cell of the shadow map. */
+        ShadowFeature: {
+            /** @description The cell's outline. */
+            geometry: components["schemas"]["ShadowPolygon"];
+            /** @description What was counted in it. */
+            properties: components["schemas"]["ShadowProperties"];
+            /** @description `Feature`. */
+            type: string;
+        };
+        /** @description The cells as GeoJSON (RFC 7946). */
+        ShadowMap: {
+            /** @description A polygon for each cell in which a machine was. */
+            features: components["schemas"]["ShadowFeature"][];
+            /** @description `FeatureCollection`. */
+            type: string;
+        };
+        /** @description A cell's outline. */
+        ShadowPolygon: {
+            /** @description One ring of longitude and latitude, counterclockwise, closed. */
+            coordinates: number[][][];
+            /** @description `Polygon`. */
+            type: string;
+        };
+        /** @description What was counted in a cell. */
+        ShadowProperties: {
             /**
-             * Format: password
-             * @description Of the account.
+             * Format: double
+             * @description Length of its edges, m.
              */
-            password: string;
+            cell_m: number;
+            /**
+             * Format: double
+             * @description The cell's western edge in the site frame, m.
+             */
+            east_m: number;
+            /**
+             * Format: double
+             * @description Of that, with fixes that are usable, but not to the centimetre, s.
+             */
+            float_s: number;
+            /**
+             * Format: double
+             * @description The cell's southern edge in the site frame, m.
+             */
+            north_m: number;
+            /**
+             * Format: double
+             * @description Time that machines spent in it, s.
+             */
+            observed_s: number;
+            /**
+             * Format: double
+             * @description Share of the time without good GNSS, 0 to 1.
+             */
+            share_without_gnss: number;
+            /**
+             * Format: double
+             * @description Of that, without good GNSS, s.
+             */
+            without_gnss_s: number;
+        };
+        /** @description Sigma of an outage along the worst horizontal direction. */
+        SigmaSummary: {
+            /**
+             * Format: double
+             * @description Newest, m.
+             */
+            last_m?: number | null;
+            /**
+             * Format: double
+             * @description Largest, m.
+             */
+            max_m?: number | null;
+            /**
+             * Format: double
+             * @description When it began, m.
+             */
+            start_m?: number | null;
+        };
+        /** @description Sigma at a time of an outage. */
+        SigmaView: {
+            /**
+             * Format: double
+             * @description One sigma along the worst horizontal direction, m.
+             */
+            position_sigma_m: number;
+            /**
+             * Format: double
+             * @description Since the outage began, s.
+             */
+            time_s: number;
+            /**
+             * Format: double
+             * @description Way since the outage began, m.
+             */
+            travelled_m: number;
         };
         /** @description The site. */
         SiteView: {
@@ -1079,120 +1249,99 @@ export interface components {
             /** @description Origin of the site frame. */
             world: components["schemas"]["WorldView"];
         };
-        /** @description Opens one WebSocket. */
-        TicketView: {
+        /** @description Outages added up. */
+        Statistics: {
+            /**
+             * Format: date-time
+             * @description From here on.
+             */
+            from: string;
+            /** @description In the order of their ids. */
+            machines: components["schemas"]["MachineStatistics"][];
+            /** @description IANA name of the zone by which days begin. */
+            time_zone: string;
+            /**
+             * Format: date-time
+             * @description Up to here.
+             */
+            to: string;
+        };
+        /**
+         * @description Outages of a machine in a span of time. Those that lasted longer count with the part in the span; what is told
+         *     once for an outage (their number, way, jump, sigma) counts where it began. A lost link counts by itself: whether
+         *     there was GNSS meanwhile nobody knows.
+         */
+        Tally: {
+            /** @description The same by cause. */
+            by_cause: components["schemas"]["CauseTally"][];
             /**
              * Format: double
-             * @description It is good for so long, s.
+             * @description How long GNSS was out, s.
              */
-            good_s: number;
-            /** @description To be sent as the parameter `ticket`. */
-            ticket: string;
-        };
-        /** @description A token, without its secret. */
-        TokenView: {
-            /**
-             * Format: date-time
-             * @description When it was made.
-             */
-            created: string;
-            /**
-             * Format: date-time
-             * @description Until when it is good.
-             */
-            expires: string;
-            /** @description By which it is revoked. */
-            id: string;
-            /** @description What it is for. */
-            label: string;
-            /** @description What it may do, as long as its account may. */
-            role: components["schemas"]["Role"];
-            /**
-             * Format: date-time
-             * @description When it was last used, to a minute; `null` if never.
-             */
-            seen?: string | null;
-            /** @description Whose it is. */
-            user: string;
-        };
-        /** @description Tokens. */
-        TokensView: {
-            /** @description In the order of their accounts, then of age. */
-            tokens: components["schemas"]["TokenView"][];
-        };
-        /** @description Where a machine was at one time. */
-        TrailPoint: {
+            duration_s: number;
             /**
              * Format: double
-             * @description Of the cabin's x axis: 0 is the site's north, clockwise, [0, 360).
+             * @description Of that, with fixes that are usable, but not to the centimetre, s.
              */
-            heading_deg: number;
+            float_s: number;
             /**
              * Format: double
-             * @description Of the cabin IMU, degrees.
+             * @description Largest jump at a recovery, m; `null` if there was none.
              */
-            latitude_deg: number;
+            jump_max_m?: number | null;
+            /**
+             * Format: int64
+             * @description How often the link was lost.
+             */
+            link_losses: number;
             /**
              * Format: double
-             * @description Of the cabin IMU, degrees.
+             * @description How long the link was lost, s.
              */
-            longitude_deg: number;
-            mode?: components["schemas"]["Mode"] | null;
-            /** @description Of the cabin IMU in the site frame: east, north, up, m. */
-            position_m: number[];
+            link_lost_s: number;
             /**
              * Format: double
-             * @description The longer half axis of the ellipse in which it is with 95 % probability, m.
+             * @description The longest one's part in the span, s.
              */
-            semi_major_m: number;
+            longest_s: number;
             /**
-             * Format: date-time
-             * @description By the machine's stamps.
+             * Format: double
+             * @description How long poses came, s.
              */
-            stamp: string;
+            observed_s: number;
             /**
-             * Format: date-time
-             * @description When it arrived, by the site's clock.
+             * Format: int64
+             * @description GNSS outages that began.
              */
-            time: string;
+            outages: number;
+            /**
+             * Format: double
+             * @description Largest sigma in an outage, m; `null` if nobody knows.
+             */
+            position_sigma_max_m?: number | null;
+            /**
+             * Format: double
+             * @description Way in outages, m.
+             */
+            travelled_m: number;
+            /**
+             * Format: double
+             * @description Of that, without good GNSS, s.
+             */
+            without_gnss_s: number;
         };
-        /** @description Where a machine was. */
-        TrajectoryView: {
-            /** @description The machine's id. */
-            machine: string;
-            /**
-             * Format: date-time
-             * @description `since` for those that follow; `null` if there are none yet.
-             */
-            next?: string | null;
-            /** @description Oldest first, one a second at most. */
-            points: components["schemas"]["TrailPoint"][];
+        /** @description What the receivers said to a test. */
+        TestView: {
+            /** @description One for each channel of the site file; none if there are no channels. */
+            channels: components["schemas"]["ChannelTest"][];
         };
-        /** @description What is to be changed of an account; what is left out stays as it is. */
-        UserChange: {
+        /** @description Where the machine was at a time of an outage. */
+        TrackView: components["schemas"]["PlaceView"] & {
             /**
-             * Format: password
-             * @description 10 to 200 characters, and not the name. Ends all sign-ins of the account.
+             * Format: double
+             * @description Since the outage began, s.
              */
-            password?: string | null;
-            role?: components["schemas"]["Role"] | null;
-        };
-        /** @description An account. */
-        UserView: {
-            /**
-             * Format: date-time
-             * @description When it was made.
-             */
-            created: string;
-            /** @description By which it signs in. */
-            name: string;
-            /** @description What it may do. */
-            role: components["schemas"]["Role"];
-        };
-        /** @description All accounts. */
-        UsersView: {
-            /** @description In the order of their names. */
-            users: components["schemas"]["UserView"][];
+            time_s: number;
         };
         /** @description Origin of the site frame (ENU), WGS84. */
         WorldView: {
@@ -1213,91 +1362,7 @@ export interface components {
             longitude_deg: number;
         };
     };
-    responses: {
-        /** @description A fault of the server */
-        Failed: {
-            headers: {
-                [name: string]: unknown;
-            };
-            content: {
-                "application/problem+json": components["schemas"]["Problem"];
-            };
-        };
-        /** @description The role does not reach, or the request comes from another origin */
-        Forbidden: {
-            headers: {
-                [name: string]: unknown;
-            };
-            content: {
-                "application/problem+json": components["schemas"]["Problem"];
-            };
-        };
-        /** @description The request is not as it should be */
-        Malformed: {
-            headers: {
-                [name: string]: unknown;
-            };
-            content: {
-                "application/problem+json": components["schemas"]["Problem"];
-            };
-        };
-        /** @description The server does not answer to this host name */
-        Misdirected: {
-            headers: {
-                [name: string]: unknown;
-            };
-            content: {
-                "application/problem+json": components["schemas"]["Problem"];
-            };
-        };
-        /** @description The body is too large */
-        TooLarge: {
-            headers: {
-                [name: string]: unknown;
-            };
-            content: {
-                "application/problem+json": components["schemas"]["Problem"];
-            };
-        };
-        /** @description Too many requests */
-        TooMany: {
-            headers: {
-                "Retry-After"?: string;
-                [name: string]: unknown;
-            };
-            content: {
-                "application/problem+json": components["schemas"]["Problem"];
-            };
-        };
-        /** @description The server cannot do it now */
-        Unavailable: {
-            headers: {
-                [name: string]: unknown;
-            };
-            content: {
-                "application/problem+json": components["schemas"]["Problem"];
-            };
-        };
-        /** @description Nobody who is known: sign in, or show a token */
-        Unknown: {
-            headers: {
-                "WWW-Authenticate"?: string;
-                [name: string]: unknown;
-            };
-            content: {
-                "application/problem+json": components["schemas"]["Problem"];
-            };
-        };
-        /** @description The body has another media type */
-        WrongType: {
-            headers: {
-                [name: string]: unknown;
-            };
-            content: {
-                "application/problem+json": components["schemas"]["Problem"];
-            };
-        };
-    };
+    responses: never;
     parameters: never;
     requestBodies: never;
     headers: never;
@@ -1305,50 +1370,22 @@ export interface components {
 }
 export type $defs = Record<string, never>;
 export interface operations {
-    openapi: {
-        parameters: {
-            query?: never;
-            header?: {
-                /** @description Tags that the client has */
-                "If-None-Match"?: string;
-            };
-            path?: never;
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            /** @description OpenAPI 3.1 */
-            200: {
-                headers: {
-                    /** @description Changes with the document */
-                    ETag?: string;
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": unknown;
-                };
-            };
-            /** @description The client has it */
-            304: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content?: never;
-            };
-            400: components["responses"]["Malformed"];
-            401: components["responses"]["Unknown"];
-            421: components["responses"]["Misdirected"];
-            429: components["responses"]["TooMany"];
-            500: components["responses"]["Failed"];
-            503: components["responses"]["Unavailable"];
-        };
-    };
-    list_changes: {
+    alerts: {
         parameters: {
             query?: {
-                /** @description So many at most: 100 if it is left out */
+                /** @description Only this machine's. */
+                machine?: string;
+                /** @description Only this rule's. */
+                rule?: components["schemas"]["RuleKind"];
+                /** @description Only those that stand so. */
+                state?: components["schemas"]["AlertState"];
+                /** @description Only those that were raised then or later, RFC 3339. */
+                from?: string;
+                /** @description Only those that were raised before, RFC 3339. */
+                to?: string;
+                /** @description So many at most: 100 if it is left out. */
                 limit?: number;
-                /** @description `next` of the answer before */
+                /** @description Where the list goes on: `next` of the answer before. */
                 cursor?: string;
             };
             header?: never;
@@ -1362,16 +1399,111 @@ export interface operations {
                     [name: string]: unknown;
                 };
                 content: {
-                    "application/json": components["schemas"]["ChangesView"];
+                    "application/json": components["schemas"]["AlertsView"];
                 };
             };
-            400: components["responses"]["Malformed"];
-            401: components["responses"]["Unknown"];
-            403: components["responses"]["Forbidden"];
-            421: components["responses"]["Misdirected"];
-            429: components["responses"]["TooMany"];
-            500: components["responses"]["Failed"];
-            503: components["responses"]["Unavailable"];
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    test_alerts: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["TestView"];
+                };
+            };
+        };
+    };
+    acknowledge_alert: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The alert's id */
+                id: string;
+            };
+            cookie?: never;
+        };
+        /** @description A note; may be left out */
+        requestBody?: {
+            content: {
+                "application/json": components["schemas"]["AcknowledgeRequest"] | null;
+            };
+        };
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["AlertView"];
+                };
+            };
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            415: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
         };
     };
     fleet: {
@@ -1391,20 +1523,11 @@ export interface operations {
                     "application/json": components["schemas"]["FleetView"];
                 };
             };
-            400: components["responses"]["Malformed"];
-            401: components["responses"]["Unknown"];
-            421: components["responses"]["Misdirected"];
-            429: components["responses"]["TooMany"];
-            500: components["responses"]["Failed"];
-            503: components["responses"]["Unavailable"];
         };
     };
     live: {
         parameters: {
-            query?: {
-                /** @description From `POST /api/v1/live-ticket`, for those who can send neither cookie nor token */
-                ticket?: string;
-            };
+            query?: never;
             header?: never;
             path?: never;
             cookie?: never;
@@ -1428,7 +1551,6 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            401: components["responses"]["Unknown"];
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -1437,51 +1559,6 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            421: components["responses"]["Misdirected"];
-            426: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["Problem"];
-                };
-            };
-            429: components["responses"]["TooMany"];
-            500: components["responses"]["Failed"];
-            503: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["Problem"];
-                };
-            };
-        };
-    };
-    live_ticket: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            201: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["TicketView"];
-                };
-            };
-            400: components["responses"]["Malformed"];
-            401: components["responses"]["Unknown"];
-            403: components["responses"]["Forbidden"];
-            421: components["responses"]["Misdirected"];
-            429: components["responses"]["TooMany"];
-            500: components["responses"]["Failed"];
-            503: components["responses"]["Unavailable"];
         };
     };
     machines: {
@@ -1501,12 +1578,6 @@ export interface operations {
                     "application/json": components["schemas"]["MachinesView"];
                 };
             };
-            400: components["responses"]["Malformed"];
-            401: components["responses"]["Unknown"];
-            421: components["responses"]["Misdirected"];
-            429: components["responses"]["TooMany"];
-            500: components["responses"]["Failed"];
-            503: components["responses"]["Unavailable"];
         };
     };
     machine: {
@@ -1529,8 +1600,6 @@ export interface operations {
                     "application/json": components["schemas"]["MachineView"];
                 };
             };
-            400: components["responses"]["Malformed"];
-            401: components["responses"]["Unknown"];
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -1539,23 +1608,106 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            421: components["responses"]["Misdirected"];
-            429: components["responses"]["TooMany"];
-            500: components["responses"]["Failed"];
-            503: components["responses"]["Unavailable"];
         };
     };
-    trajectory: {
+    outages: {
         parameters: {
             query?: {
-                /** @description Only points that arrived after that, RFC 3339 */
-                since?: string;
-                /** @description So many at most: 3600 if it is left out */
+                /** @description Only this machine's. */
+                machine?: string;
+                /** @description Only those that began so. */
+                cause?: components["schemas"]["FixState"];
+                /** @description Only those that go on, or that are over. */
+                state?: components["schemas"]["OutageState"];
+                /** @description Only those that went on then or later, RFC 3339. */
+                from?: string;
+                /** @description Only those that began before, RFC 3339. */
+                to?: string;
+                /** @description Only those that lasted so long, s. */
+                min_duration_s?: number;
+                /** @description So many at most: 100 if it is left out. */
                 limit?: number;
+                /** @description Where the list goes on: `next` of the answer before. */
+                cursor?: string;
             };
             header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["OutagesView"];
+                };
+            };
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    outage_statistics: {
+        parameters: {
+            query?: {
+                /** @description From here on, RFC 3339; a week before `to` if it is left out. */
+                from?: string;
+                /** @description Up to here, RFC 3339; now if it is left out. */
+                to?: string;
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Statistics"];
+                };
+            };
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    outage: {
+        parameters: {
+            query?: never;
+            header?: never;
             path: {
-                /** @description The machine's id */
+                /** @description The outage's id */
                 id: string;
             };
             cookie?: never;
@@ -1567,11 +1719,17 @@ export interface operations {
                     [name: string]: unknown;
                 };
                 content: {
-                    "application/json": components["schemas"]["TrajectoryView"];
+                    "application/json": components["schemas"]["OutageDetail"];
                 };
             };
-            400: components["responses"]["Malformed"];
-            401: components["responses"]["Unknown"];
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -1580,13 +1738,17 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            421: components["responses"]["Misdirected"];
-            429: components["responses"]["TooMany"];
-            500: components["responses"]["Failed"];
-            503: components["responses"]["Unavailable"];
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
         };
     };
-    me: {
+    list: {
         parameters: {
             query?: never;
             header?: never;
@@ -1597,202 +1759,15 @@ export interface operations {
         responses: {
             200: {
                 headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["MeView"];
-                };
-            };
-            400: components["responses"]["Malformed"];
-            401: components["responses"]["Unknown"];
-            421: components["responses"]["Misdirected"];
-            429: components["responses"]["TooMany"];
-            500: components["responses"]["Failed"];
-            503: components["responses"]["Unavailable"];
-        };
-    };
-    change_password: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        requestBody: {
-            content: {
-                "application/json": components["schemas"]["PasswordChange"];
-            };
-        };
-        responses: {
-            /** @description Changed; sign in anew */
-            204: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content?: never;
-            };
-            400: components["responses"]["Malformed"];
-            401: components["responses"]["Unknown"];
-            /** @description The old password is wrong */
-            403: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["Problem"];
-                };
-            };
-            /** @description There are no accounts */
-            409: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["Problem"];
-                };
-            };
-            413: components["responses"]["TooLarge"];
-            415: components["responses"]["WrongType"];
-            421: components["responses"]["Misdirected"];
-            429: components["responses"]["TooMany"];
-            500: components["responses"]["Failed"];
-            503: components["responses"]["Unavailable"];
-        };
-    };
-    plan: {
-        parameters: {
-            query?: never;
-            header?: {
-                /** @description Tags that the client has */
-                "If-None-Match"?: string;
-            };
-            path?: never;
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            200: {
-                headers: {
-                    /** @description Changes with the plan */
-                    ETag?: string;
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/geo+json": Record<string, never>;
-                };
-            };
-            /** @description The client has it */
-            304: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content?: never;
-            };
-            400: components["responses"]["Malformed"];
-            401: components["responses"]["Unknown"];
-            421: components["responses"]["Misdirected"];
-            429: components["responses"]["TooMany"];
-            500: components["responses"]["Failed"];
-            503: components["responses"]["Unavailable"];
-        };
-    };
-    put_plan: {
-        parameters: {
-            query?: never;
-            header?: {
-                /** @description Tag of the plan that was seen */
-                "If-Match"?: string;
-            };
-            path?: never;
-            cookie?: never;
-        };
-        requestBody: {
-            content: {
-                "application/geo+json": Record<string, never>;
-                "application/json": Record<string, never>;
-            };
-        };
-        responses: {
-            /** @description It is the plan now */
-            204: {
-                headers: {
-                    /** @description Of the new plan */
-                    ETag?: string;
-                    [name: string]: unknown;
-                };
-                content?: never;
-            };
-            400: components["responses"]["Malformed"];
-            401: components["responses"]["Unknown"];
-            403: components["responses"]["Forbidden"];
-            /** @description It was changed since */
-            412: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["Problem"];
-                };
-            };
-            413: components["responses"]["TooLarge"];
-            415: components["responses"]["WrongType"];
-            421: components["responses"]["Misdirected"];
-            429: components["responses"]["TooMany"];
-            500: components["responses"]["Failed"];
-            503: components["responses"]["Unavailable"];
-            507: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["Problem"];
-                };
-            };
-        };
-    };
-    list_sessions: {
-        parameters: {
-            query?: {
-                /** @description So many at most: 100 if it is left out */
-                limit?: number;
-                /** @description `next` of the answer before */
-                cursor?: string;
-            };
-            header?: {
-                /** @description Tags that the client has */
-                "If-None-Match"?: string;
-            };
-            path?: never;
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            200: {
-                headers: {
-                    /** @description Of this answer */
-                    ETag?: string;
                     [name: string]: unknown;
                 };
                 content: {
                     "application/json": components["schemas"]["SessionsView"];
                 };
             };
-            /** @description The client has it */
-            304: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content?: never;
-            };
-            400: components["responses"]["Malformed"];
-            401: components["responses"]["Unknown"];
-            421: components["responses"]["Misdirected"];
-            429: components["responses"]["TooMany"];
-            500: components["responses"]["Failed"];
-            503: components["responses"]["Unavailable"];
         };
     };
-    start_session: {
+    start: {
         parameters: {
             query?: never;
             header?: never;
@@ -1824,8 +1799,6 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            401: components["responses"]["Unknown"];
-            403: components["responses"]["Forbidden"];
             409: {
                 headers: {
                     [name: string]: unknown;
@@ -1834,7 +1807,6 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            413: components["responses"]["TooLarge"];
             415: {
                 headers: {
                     [name: string]: unknown;
@@ -1843,9 +1815,6 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            421: components["responses"]["Misdirected"];
-            429: components["responses"]["TooMany"];
-            500: components["responses"]["Failed"];
             503: {
                 headers: {
                     [name: string]: unknown;
@@ -1867,10 +1836,7 @@ export interface operations {
     session: {
         parameters: {
             query?: never;
-            header?: {
-                /** @description Tags that the client has */
-                "If-None-Match"?: string;
-            };
+            header?: never;
             path: {
                 /** @description The session's id */
                 id: string;
@@ -1881,23 +1847,12 @@ export interface operations {
         responses: {
             200: {
                 headers: {
-                    /** @description Of this answer */
-                    ETag?: string;
                     [name: string]: unknown;
                 };
                 content: {
                     "application/json": components["schemas"]["SessionDetail"];
                 };
             };
-            /** @description The client has it */
-            304: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content?: never;
-            };
-            400: components["responses"]["Malformed"];
-            401: components["responses"]["Unknown"];
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -1906,13 +1861,9 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            421: components["responses"]["Misdirected"];
-            429: components["responses"]["TooMany"];
-            500: components["responses"]["Failed"];
-            503: components["responses"]["Unavailable"];
         };
     };
-    edit_session: {
+    edit: {
         parameters: {
             query?: never;
             header?: never;
@@ -1944,8 +1895,6 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            401: components["responses"]["Unknown"];
-            403: components["responses"]["Forbidden"];
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -1954,7 +1903,6 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            413: components["responses"]["TooLarge"];
             415: {
                 headers: {
                     [name: string]: unknown;
@@ -1963,9 +1911,6 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            421: components["responses"]["Misdirected"];
-            429: components["responses"]["TooMany"];
-            500: components["responses"]["Failed"];
             503: {
                 headers: {
                     [name: string]: unknown;
@@ -2028,7 +1973,6 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            401: components["responses"]["Unknown"];
             /** @description There is no such session, no such machine in it, or no pose */
             404: {
                 headers: {
@@ -2047,10 +1991,6 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            421: components["responses"]["Misdirected"];
-            429: components["responses"]["TooMany"];
-            500: components["responses"]["Failed"];
-            503: components["responses"]["Unavailable"];
             /** @description There are too many poses: ask for one machine */
             507: {
                 headers: {
@@ -2070,11 +2010,7 @@ export interface operations {
             };
             header?: {
                 /** @description One range of bytes */
-                Range?: string;
-                /** @description Only if the tag is still that; else the whole */
-                "If-Range"?: string;
-                /** @description Tags that the client has */
-                "If-None-Match"?: string;
+                Range?: string | null;
             };
             path: {
                 /** @description The session's id */
@@ -2100,15 +2036,14 @@ export interface operations {
                     "application/octet-stream": number[];
                 };
             };
-            /** @description The client has it */
-            304: {
+            400: {
                 headers: {
                     [name: string]: unknown;
                 };
-                content?: never;
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
             };
-            400: components["responses"]["Malformed"];
-            401: components["responses"]["Unknown"];
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -2128,21 +2063,15 @@ export interface operations {
             };
             416: {
                 headers: {
-                    /** @description How long it is */
-                    "Content-Range"?: string;
                     [name: string]: unknown;
                 };
                 content: {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            421: components["responses"]["Misdirected"];
-            429: components["responses"]["TooMany"];
-            500: components["responses"]["Failed"];
-            503: components["responses"]["Unavailable"];
         };
     };
-    stop_session: {
+    stop: {
         parameters: {
             query?: never;
             header?: never;
@@ -2162,9 +2091,6 @@ export interface operations {
                     "application/json": components["schemas"]["SessionView"];
                 };
             };
-            400: components["responses"]["Malformed"];
-            401: components["responses"]["Unknown"];
-            403: components["responses"]["Forbidden"];
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -2181,9 +2107,6 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            421: components["responses"]["Misdirected"];
-            429: components["responses"]["TooMany"];
-            500: components["responses"]["Failed"];
             503: {
                 headers: {
                     [name: string]: unknown;
@@ -2194,83 +2117,18 @@ export interface operations {
             };
         };
     };
-    sign_in: {
+    shadow_map: {
         parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        requestBody: {
-            content: {
-                "application/json": components["schemas"]["SignIn"];
+            query?: {
+                /** @description Only this machine. */
+                machine?: string;
+                /** @description Length of the cells' edges: whole metres, 5 if it is left out. */
+                cell_m?: number;
+                /** @description From here on, to the quarter of an hour, RFC 3339; a week before `to` if it is left out. */
+                from?: string;
+                /** @description Up to here, to the quarter of an hour, RFC 3339; now if it is left out. */
+                to?: string;
             };
-        };
-        responses: {
-            200: {
-                headers: {
-                    /** @description The sign-in */
-                    "Set-Cookie"?: string;
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["MeView"];
-                };
-            };
-            400: components["responses"]["Malformed"];
-            /** @description Name or password is wrong */
-            401: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["Problem"];
-                };
-            };
-            403: components["responses"]["Forbidden"];
-            413: components["responses"]["TooLarge"];
-            415: components["responses"]["WrongType"];
-            421: components["responses"]["Misdirected"];
-            429: components["responses"]["TooMany"];
-            500: components["responses"]["Failed"];
-            503: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["Problem"];
-                };
-            };
-        };
-    };
-    sign_out: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            /** @description Signed out */
-            204: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content?: never;
-            };
-            400: components["responses"]["Malformed"];
-            401: components["responses"]["Unknown"];
-            403: components["responses"]["Forbidden"];
-            421: components["responses"]["Misdirected"];
-            429: components["responses"]["TooMany"];
-            500: components["responses"]["Failed"];
-            503: components["responses"]["Unavailable"];
-        };
-    };
-    list_tokens: {
-        parameters: {
-            query?: never;
             header?: never;
             path?: never;
             cookie?: never;
@@ -2282,45 +2140,10 @@ export interface operations {
                     [name: string]: unknown;
                 };
                 content: {
-                    "application/json": components["schemas"]["TokensView"];
+                    "application/geo+json": components["schemas"]["ShadowMap"];
                 };
             };
-            400: components["responses"]["Malformed"];
-            401: components["responses"]["Unknown"];
-            421: components["responses"]["Misdirected"];
-            429: components["responses"]["TooMany"];
-            500: components["responses"]["Failed"];
-            503: components["responses"]["Unavailable"];
-        };
-    };
-    add_token: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        requestBody: {
-            content: {
-                "application/json": components["schemas"]["NewToken"];
-            };
-        };
-        responses: {
-            201: {
-                headers: {
-                    /** @description The token */
-                    Location?: string;
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["NewTokenView"];
-                };
-            };
-            400: components["responses"]["Malformed"];
-            401: components["responses"]["Unknown"];
-            403: components["responses"]["Forbidden"];
-            /** @description There is no such account */
-            404: {
+            400: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -2328,8 +2151,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There are no accounts */
-            409: {
+            500: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -2337,214 +2159,6 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            413: components["responses"]["TooLarge"];
-            415: components["responses"]["WrongType"];
-            421: components["responses"]["Misdirected"];
-            429: components["responses"]["TooMany"];
-            500: components["responses"]["Failed"];
-            503: components["responses"]["Unavailable"];
-        };
-    };
-    revoke_token: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path: {
-                /** @description The token's id */
-                id: string;
-            };
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            /** @description It is good no more */
-            204: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content?: never;
-            };
-            400: components["responses"]["Malformed"];
-            401: components["responses"]["Unknown"];
-            403: components["responses"]["Forbidden"];
-            404: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["Problem"];
-                };
-            };
-            421: components["responses"]["Misdirected"];
-            429: components["responses"]["TooMany"];
-            500: components["responses"]["Failed"];
-            503: components["responses"]["Unavailable"];
-        };
-    };
-    list_users: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            200: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["UsersView"];
-                };
-            };
-            400: components["responses"]["Malformed"];
-            401: components["responses"]["Unknown"];
-            403: components["responses"]["Forbidden"];
-            421: components["responses"]["Misdirected"];
-            429: components["responses"]["TooMany"];
-            500: components["responses"]["Failed"];
-            503: components["responses"]["Unavailable"];
-        };
-    };
-    add_user: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        requestBody: {
-            content: {
-                "application/json": components["schemas"]["NewUser"];
-            };
-        };
-        responses: {
-            201: {
-                headers: {
-                    /** @description The account */
-                    Location?: string;
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["UserView"];
-                };
-            };
-            400: components["responses"]["Malformed"];
-            401: components["responses"]["Unknown"];
-            403: components["responses"]["Forbidden"];
-            /** @description The name is taken, or there are no accounts yet: the first is made on the command line */
-            409: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["Problem"];
-                };
-            };
-            413: components["responses"]["TooLarge"];
-            415: components["responses"]["WrongType"];
-            421: components["responses"]["Misdirected"];
-            429: components["responses"]["TooMany"];
-            500: components["responses"]["Failed"];
-            503: components["responses"]["Unavailable"];
-        };
-    };
-    remove_user: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path: {
-                /** @description Of the account */
-                name: string;
-            };
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            /** @description It is gone */
-            204: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content?: never;
-            };
-            400: components["responses"]["Malformed"];
-            401: components["responses"]["Unknown"];
-            403: components["responses"]["Forbidden"];
-            404: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["Problem"];
-                };
-            };
-            /** @description It is the only admin */
-            409: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["Problem"];
-                };
-            };
-            421: components["responses"]["Misdirected"];
-            429: components["responses"]["TooMany"];
-            500: components["responses"]["Failed"];
-            503: components["responses"]["Unavailable"];
-        };
-    };
-    edit_user: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path: {
-                /** @description Of the account */
-                name: string;
-            };
-            cookie?: never;
-        };
-        requestBody: {
-            content: {
-                "application/json": components["schemas"]["UserChange"];
-            };
-        };
-        responses: {
-            200: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["UserView"];
-                };
-            };
-            400: components["responses"]["Malformed"];
-            401: components["responses"]["Unknown"];
-            403: components["responses"]["Forbidden"];
-            404: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["Problem"];
-                };
-            };
-            /** @description It is the only admin */
-            409: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["Problem"];
-                };
-            };
-            413: components["responses"]["TooLarge"];
-            415: components["responses"]["WrongType"];
-            421: components["responses"]["Misdirected"];
-            429: components["responses"]["TooMany"];
-            500: components["responses"]["Failed"];
-            503: components["responses"]["Unavailable"];
         };
     };
     healthz: {
@@ -2564,10 +2178,6 @@ export interface operations {
                     "text/plain": string;
                 };
             };
-            400: components["responses"]["Malformed"];
-            421: components["responses"]["Misdirected"];
-            429: components["responses"]["TooMany"];
-            500: components["responses"]["Failed"];
         };
     };
     metrics: {
@@ -2587,12 +2197,6 @@ export interface operations {
                     "application/openmetrics-text": string;
                 };
             };
-            400: components["responses"]["Malformed"];
-            401: components["responses"]["Unknown"];
-            421: components["responses"]["Misdirected"];
-            429: components["responses"]["TooMany"];
-            500: components["responses"]["Failed"];
-            503: components["responses"]["Unavailable"];
         };
     };
     readyz: {
@@ -2612,10 +2216,6 @@ export interface operations {
                     "application/json": components["schemas"]["ReadyView"];
                 };
             };
-            400: components["responses"]["Malformed"];
-            421: components["responses"]["Misdirected"];
-            429: components["responses"]["TooMany"];
-            500: components["responses"]["Failed"];
             503: {
                 headers: {
                     [name: string]: unknown;

@@ -103,7 +103,8 @@ export class Live {
         this.lose();
       } else {
         this.lastSeq = message.seq;
-        this.handlers.delta(message);
+        // This page does not ask for alerts.
+        if (message.type === "delta") this.handlers.delta(message);
       }
     } catch (error) {
       if (!(error instanceof MessageError || error instanceof SyntaxError)) throw error;

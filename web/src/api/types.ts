@@ -17,6 +17,36 @@ export type Mode = (typeof MODES)[number];
 export const GNSS_STATES = ["fixed", "degraded", "frozen", "jumping", "silent", "recovering"] as const;
 export type GnssState = (typeof GNSS_STATES)[number];
 
+/** What the site knows of a machine's fixes: more than the machine does. */
+export const FIX_STATES = [
+  "fixed",
+  "float",
+  "degraded",
+  "frozen",
+  "jumping",
+  "silent",
+  "link_lost",
+  "recovering",
+] as const;
+export type FixState = (typeof FIX_STATES)[number];
+
+export const RULES = [
+  "outage_longer",
+  "sigma_over_tolerance",
+  "machine_lost",
+  "clock_off",
+  "disk_low",
+  "estimator_late",
+  "sensor_silent",
+] as const;
+export type RuleKind = (typeof RULES)[number];
+
+export const ALERT_SEVERITIES = ["info", "warning", "critical"] as const;
+export type AlertSeverity = (typeof ALERT_SEVERITIES)[number];
+
+export const ALERT_STATES = ["active", "acknowledged", "cleared_unacknowledged", "cleared"] as const;
+export type AlertState = (typeof ALERT_STATES)[number];
+
 export const SENSORS = [
   "imu",
   "base_imu",
@@ -120,7 +150,35 @@ export interface Health {
 
 export interface HealthView {
   age_s: number;
+  /** How old its newest estimate was when it said this. */
+  estimate_age_s: number | null;
   report: Health;
+}
+
+/** What is left until the sigma passes the site's tolerance; `null` where it does not grow. */
+export interface Budget {
+  tolerance_m: number;
+  time_s: number | null;
+  distance_m: number | null;
+}
+
+/** The outage that goes on. */
+export interface CurrentOutage {
+  id: string;
+  cause: FixState;
+  start: string;
+  duration_s: number;
+  travelled_m: number | null;
+  position_sigma_m: number | null;
+  /** `null` as long as it is too early to tell. */
+  budget: Budget | null;
+}
+
+export interface GnssView {
+  state: FixState;
+  since: string;
+  mode: Mode | null;
+  outage: CurrentOutage | null;
 }
 
 export interface LinkView {
@@ -146,6 +204,7 @@ export interface MachineView {
   severity: Severity;
   pose: PoseView | null;
   health: HealthView | null;
+  gnss: GnssView;
   link: LinkView;
 }
 
@@ -169,13 +228,44 @@ export interface Delta {
   dropped: number;
 }
 
+export interface Acknowledgement {
+  by: string;
+  at: string;
+  note: string;
+}
+
+export interface AlertView {
+  id: string;
+  rule: RuleKind;
+  severity: AlertSeverity;
+  /** `null` if it is the site's. */
+  machine: string | null;
+  part: string | null;
+  message: string;
+  value: number;
+  worst: number;
+  state: AlertState;
+  raised: string;
+  times: number;
+  cleared: string | null;
+  acknowledged: Acknowledgement | null;
+  changed: string;
+}
+
+/** To those who asked for it: all alerts that are not both over and seen. */
+export interface Alerts {
+  type: "alerts";
+  seq: number;
+  alerts: AlertView[];
+}
+
 /** The answer to a request of ours that the site did not understand; everything goes on as before. */
 export interface LiveError {
   type: "error";
   detail: string;
 }
 
-export type LiveMessage = Snapshot | Delta | LiveError;
+export type LiveMessage = Snapshot | Delta | Alerts | LiveError;
 
 export interface RecordingView {
   state: RecordingState;

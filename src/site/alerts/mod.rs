@@ -1,0 +1,250 @@
+//! Alerts at work: the rules look at every frame, people acknowledge, receivers are told.
+//!
+//! ```text
+//! frames ─▶ watcher (owns the alerts) ──▶ archive ──▶ one courier a channel ──▶ webhook, e-mail
+//!             ▲        └─ open alerts (watched by live clients)
+//! API: acknowledge
+//! ```
+//! An alert is in the archive before anybody hears of it. What is to be delivered waits there, too: a restart
+//! loses nothing, and a receiver that does not answer holds up no other.
+
+mod courier;
+mod mail;
+mod webhook;
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::sync::{mpsc, oneshot, watch};
+use tokio::task::JoinHandle;
+
+use super::aggregator::Frame;
+use super::clock::SiteClock;
+use super::ended;
+use super::history::Archive;
+use super::sessions::disk_free_bytes;
+use crate::config;
+use crate::fleet::{
+    Alert, AlertSeverity, AlertState, Alerts, RuleKind, SiteState, Unacknowledged, observations,
+};
+use crate::time::Stamp;
+use courier::Courier;
+use mail::Mailer;
+use webhook::Hook;
+
+/// Acknowledgements that wait for the watcher. Full, who asks waits.
+const COMMANDS_QUEUED: usize = 16;
+/// Room on the disk is looked at so often: frames.
+const DISK_EVERY: u64 = 50;
+/// A receiver may take so long.
+const PATIENCE: Duration = Duration::from_secs(10);
+
+/// Somebody saw an alert.
+pub(super) struct Acknowledge {
+    pub id: String,
+    pub by: String,
+    pub note: String,
+    pub answer: oneshot::Sender<Result<Alert, Unacknowledged>>,
+}
+
+/// A way to tell somebody.
+pub(super) enum Channel {
+    Webhook(Hook),
+    Mail(Mailer),
+}
+
+/// What somebody is told.
+pub(super) struct Letter<'a> {
+    pub site: &'a str,
+    pub is_test: bool,
+    pub alert: &'a Alert,
+}
+
+impl Channel {
+    /// `webhook:{name}` or `mail`; what waits for it is kept under this name.
+    pub fn name(&self) -> String {
+        match self {
+            Channel::Webhook(hook) => format!("webhook:{}", hook.name()),
+            Channel::Mail(_) => "mail".to_owned(),
+        }
+    }
+
+    /// Tells it once; says what the receiver said, or why it was not told.
+    pub async fn send(&self, letter: &Letter<'_>, now: Stamp) -> Result<String, String> {
+        let sending = async {
+            match self {
+                Channel::Webhook(hook) => hook.send(letter, now).await,
+                Channel::Mail(mailer) => mailer.send(letter).await,
+            }
+        };
+        let late = |_| format!("no answer within {} s", PATIENCE.as_secs());
+        tokio::time::timeout(PATIENCE, sending).await.map_err(late).and_then(|said| said)
+    }
+}
+
+/// Alerts at work.
+pub(super) struct Watching {
+    pub commands: mpsc::Sender<Acknowledge>,
+    pub open: watch::Receiver<Arc<Vec<Alert>>>,
+    pub channels: Arc<Vec<Channel>>,
+    pub tasks: Vec<JoinHandle<()>>,
+}
+
+/// What the watcher needs of the site.
+pub(super) struct Surroundings {
+    pub site: String,
+    pub archive: Arc<Archive>,
+    pub frames: watch::Receiver<Arc<Frame>>,
+    /// `None` where nothing is recorded.
+    pub record_directory: Option<PathBuf>,
+    pub tolerance_m: f64,
+    pub clock: SiteClock,
+    pub stopped: watch::Receiver<bool>,
+}
+
+/// The channels that the site file names.
+///
+/// # Errors
+/// A secret cannot be read, or an address is none.
+pub(super) fn channels(config: &config::Alerts) -> Result<Vec<Channel>, config::Violation> {
+    let mut channels = Vec::new();
+    for webhook in &config.webhook {
+        channels.push(Channel::Webhook(Hook::new(webhook)?));
+    }
+    if let Some(mail) = &config.mail {
+        channels.push(Channel::Mail(Mailer::new(mail)?));
+    }
+    Ok(channels)
+}
+
+/// One line of a file that nobody else should read.
+fn secret(key: &str, path: &Path) -> Result<String, config::Violation> {
+    let refused = |why: String| config::Violation {
+        key: key.to_owned(),
+        message: format!("is {}, which {why}", path.display()),
+    };
+    let text = std::fs::read_to_string(path).map_err(|error| refused(format!("cannot be read: {error}")))?;
+    let line = text.trim_end_matches(['\r', '\n']);
+    if line.is_empty() || line.contains('\n') {
+        return Err(refused("must hold one line".to_owned()));
+    }
+    Ok(line.to_owned())
+}
+
+/// Starts the watcher and a courier for each channel.
+pub(super) fn start(config: &config::Alerts, channels: Vec<Channel>, site: Surroundings) -> Watching {
+    let open = site.archive.open_alerts().unwrap_or_else(|error| {
+        tracing::error!("the alerts of the last run cannot be read: {error}");
+        Vec::new()
+    });
+    let names: Vec<String> = channels.iter().map(Channel::name).collect();
+    if let Err(error) = site.archive.forget_other_channels(&names) {
+        tracing::error!("what waits for receivers that are gone cannot be removed: {error}");
+    }
+    let alerts = Alerts::new(config.rules(), open);
+    let (open_sender, open) = watch::channel(Arc::new(alerts.open()));
+    let (commands, commands_receiver) = mpsc::channel(COMMANDS_QUEUED);
+    let channels = Arc::new(channels);
+    let (bell, _) = watch::channel(());
+    let mut tasks: Vec<JoinHandle<()>> = (0..channels.len())
+        .map(|index| {
+            let courier = Courier {
+                site: site.site.clone(),
+                channels: Arc::clone(&channels),
+                index,
+                archive: Arc::clone(&site.archive),
+                clock: site.clock,
+            };
+            tokio::spawn(courier.run(bell.subscribe(), site.stopped.clone()))
+        })
+        .collect();
+    let watcher = Watcher { alerts, site, names, open: open_sender, bell };
+    tasks.push(tokio::spawn(watcher.run(commands_receiver)));
+    Watching { commands, open, channels, tasks }
+}
+
+/// An alert that says that alerts arrive.
+pub(super) fn test_alert(now: Stamp) -> Alert {
+    Alert {
+        id: format!("test.{}", now.as_nanos()),
+        rule: RuleKind::MachineLost,
+        severity: AlertSeverity::Info,
+        machine: None,
+        part: None,
+        message: "this is a test: alerts of this site arrive here".to_owned(),
+        value: 0.0,
+        worst: 0.0,
+        state: AlertState::Active,
+        raised: now,
+        times: 1,
+        cleared: None,
+        acknowledged: None,
+        changed: now,
+    }
+}
+
+struct Watcher {
+    alerts: Alerts,
+    site: Surroundings,
+    /// Of the channels.
+    names: Vec<String>,
+    open: watch::Sender<Arc<Vec<Alert>>>,
+    /// Rung when something is to be delivered.
+    bell: watch::Sender<()>,
+}
+
+impl Watcher {
+    async fn run(mut self, mut commands: mpsc::Receiver<Acknowledge>) {
+        let mut stopped = self.site.stopped.clone();
+        let mut frames = self.site.frames.clone();
+        let mut state = SiteState { disk_free_bytes: None, tolerance_m: self.site.tolerance_m };
+        let mut disk_due = 0;
+        loop {
+            tokio::select! {
+                biased;
+                () = ended(&mut stopped) => return,
+                Some(command) = commands.recv() => {
+                    let Acknowledge { id, by, note, answer } = command;
+                    let done = self.alerts.acknowledge(&id, &by, &note, self.site.clock.now());
+                    if let Ok(alert) = &done {
+                        tracing::info!("alert {id}: acknowledged by {by:?}");
+                        self.tell(vec![alert.clone()]).await;
+                    }
+                    // Who asked may be gone.
+                    let _ = answer.send(done);
+                }
+                changed = frames.changed() => {
+                    if changed.is_err() {
+                        return;
+                    }
+                    let frame = Arc::clone(&frames.borrow_and_update());
+                    if frame.number >= disk_due {
+                        disk_due = frame.number + DISK_EVERY;
+                        state.disk_free_bytes = self.site.record_directory.as_deref().and_then(disk_free_bytes);
+                    }
+                    let changed = self.alerts.observe(observations(&frame.view, state), frame.view.time.0);
+                    if !changed.is_empty() {
+                        changed.iter().for_each(|alert| {
+                            tracing::warn!("alert {}: {}: {}", alert.id, alert.state.name(), alert.message);
+                        });
+                        self.tell(changed).await;
+                    }
+                }
+            }
+        }
+    }
+
+    /// Keeps what changed, then tells it.
+    async fn tell(&self, changed: Vec<Alert>) {
+        let (archive, names) = (Arc::clone(&self.site.archive), self.names.clone());
+        let kept = tokio::task::spawn_blocking(move || archive.put_alerts(&changed, &names)).await;
+        match kept {
+            Ok(Ok(())) => {}
+            Ok(Err(error)) => tracing::error!("an alert cannot be kept: {error}"),
+            Err(error) => tracing::error!("an alert cannot be kept: {error}"),
+        }
+        self.open.send_replace(Arc::new(self.alerts.open()));
+        self.bell.send_replace(());
+    }
+}
