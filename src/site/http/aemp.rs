@@ -21,7 +21,7 @@ use quick_xml::events::{BytesDecl, BytesText, Event};
 use serde::Serialize;
 
 use super::Shared;
-use super::api::malformed;
+use super::input::malformed;
 use super::problem::Problem;
 use crate::fleet::{FleetView, MachineView, Presence, Severity, UtcTime};
 use crate::state::{GnssState, Mode};
