@@ -1,6 +1,8 @@
 //! holdfast tells a construction site where each of its excavators is, to the centimetre, also when GNSS
 //! lets go. `src/README.md` is the map of the rooms; imports only look down.
 
+#[cfg(feature = "shells")]
+pub mod accounts;
 pub mod baselines;
 pub mod batch;
 pub mod cli;

@@ -68,6 +68,16 @@ public_tools() {
         export HOLDFAST_PYTHON
 }
 
+# Foxglove's own client packages, into a folder of their own: nothing is installed into the source.
+foxglove_clients() {
+    local folder=$target/foxglove-clients
+    mkdir -p "$folder" && cp tests/feeds/package.json tests/feeds/package-lock.json tests/feeds/.npmrc "$folder/" &&
+        { [ "$folder/node_modules/.package-lock.json" -nt tests/feeds/package-lock.json ] ||
+            (cd "$folder" && npm ci --no-audit --no-fund --silent); } &&
+        HOLDFAST_FOXGLOVE=$(realpath "$folder") &&
+        export HOLDFAST_FOXGLOVE
+}
+
 rust() {
     # Tests say NOT RUN on stderr, past the harness.
     { cargo test --release --locked --no-fail-fast 2>&1 >&3 | tee "$said" >&2; } 3>&1
@@ -83,6 +93,7 @@ browser() {
 
 prepare
 step "public tools" public_tools
+step "foxglove clients" foxglove_clients
 step "build" cargo build --release --locked
 step "rust" rust
 step "web" web

@@ -15,7 +15,8 @@ use tokio::sync::{mpsc, oneshot};
 use tokio::task::JoinHandle;
 
 use super::logging;
-use crate::config;
+use crate::accounts::Accounts;
+use crate::{config, site};
 
 /// Show two excavators on a site, simulated
 ///
@@ -81,9 +82,8 @@ pub fn run(arguments: Arguments) -> Result<(), Box<dyn Error>> {
 }
 
 async fn demo(arguments: &Arguments) -> Result<(), Box<dyn Error>> {
-    config::Http { listen: arguments.listen }
-        .check()
-        .map_err(|violation| config::Violation { key: "--listen".to_owned(), ..violation })?;
+    let http = config::Http { listen: arguments.listen, ..config::Http::default() };
+    site::may_listen(&http, &Accounts::of(&arguments.data)?, "--listen")?;
     let mut terminate = signal(SignalKind::terminate())?;
     let mut interrupt = signal(SignalKind::interrupt())?;
     fs::create_dir_all(&arguments.data).map_err(|error| format!("{}: {error}", arguments.data.display()))?;

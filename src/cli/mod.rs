@@ -6,6 +6,8 @@
 // A shell: here clocks, threads and waiting are allowed.
 #![allow(clippy::disallowed_methods)]
 
+#[cfg(feature = "shells")]
+mod accounts;
 mod check;
 #[cfg(feature = "shells")]
 mod demo;

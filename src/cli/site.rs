@@ -7,6 +7,7 @@ use std::path::PathBuf;
 
 use tokio::signal::unix::{SignalKind, signal};
 
+use super::accounts::{self, TokenCommand, UserCommand};
 use super::logging;
 use crate::config;
 use crate::site::Site;
@@ -16,10 +17,13 @@ use crate::site::Site;
 /// Serves the page and the API, and records everything that the machines send. Prints the address of the page
 /// and the Zenoh endpoints for the machines, then runs until Ctrl-C or SIGTERM; the recording is closed then.
 #[derive(Debug, clap::Args)]
+#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
 pub struct Arguments {
+    #[command(subcommand)]
+    pub command: Option<Command>,
     /// Site file, such as config/site.toml
-    #[arg(long, value_name = "TOML")]
-    pub config: PathBuf,
+    #[arg(long, value_name = "TOML", required = true)]
+    pub config: Option<PathBuf>,
     /// Address of page and API, instead of the site file's; port 0 takes a free one
     #[arg(long, value_name = "ADDRESS:PORT")]
     pub listen: Option<SocketAddr>,
@@ -28,12 +32,29 @@ pub struct Arguments {
     pub data: Option<PathBuf>,
 }
 
+/// What else there is to do for a site.
+#[derive(Debug, clap::Subcommand)]
+pub enum Command {
+    /// Accounts: who may look, operate, administer
+    #[command(subcommand)]
+    User(UserCommand),
+    /// Tokens with which programs use the API
+    #[command(subcommand)]
+    Token(TokenCommand),
+}
+
 /// Runs the command.
 ///
 /// # Errors
 /// The configuration cannot be used, or an address or the data folder cannot.
 pub fn run(arguments: Arguments) -> Result<(), Box<dyn Error>> {
-    let mut config: config::Site = config::load(&arguments.config)?;
+    match arguments.command {
+        Some(Command::User(command)) => return accounts::run_user(command),
+        Some(Command::Token(command)) => return accounts::run_token(command),
+        None => {}
+    }
+    let file = arguments.config.ok_or("which site? --config TOML")?;
+    let mut config: config::Site = config::load(&file)?;
     config.http.listen = arguments.listen.unwrap_or(config.http.listen);
     config.record.directory = arguments.data.unwrap_or(config.record.directory);
     logging::start();

@@ -1,6 +1,6 @@
 //! The site file: who the site is, where its frame is tied, where it listens, what it records.
 
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::path::PathBuf;
 
 use jiff::civil::Time;
@@ -53,8 +53,22 @@ pub struct Tolerance {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Http {
-    /// Address and port; loopback only, as long as there are no accounts.
+    /// Address and port.
     pub listen: SocketAddr,
+    /// Names by which others reach it, beside its addresses, such as `site.example`.
+    pub names: Vec<String>,
+    /// Addresses of proxies, whose `X-Forwarded-For` is believed.
+    pub proxies: Vec<IpAddr>,
+    /// A proxy in front of it speaks HTTPS: cookies are for HTTPS alone.
+    pub https: bool,
+    /// Other origins whose pages may use the API with a token, such as `https://portal.example`.
+    pub origins: Vec<String>,
+    /// A sign-in ends after so many minutes without a request,
+    pub sign_in_idle_min: f64,
+    /// and after so many days in any case.
+    pub sign_in_days: f64,
+    /// More requests of one client are refused, after ten seconds' worth of them at once.
+    pub requests_per_s: f64,
 }
 
 /// Where machines dial in.
@@ -111,7 +125,16 @@ fn utc() -> String {
 
 impl Default for Http {
     fn default() -> Self {
-        Self { listen: SocketAddr::from(([127, 0, 0, 1], 8080)) }
+        Self {
+            listen: SocketAddr::from(([127, 0, 0, 1], 8080)),
+            names: Vec::new(),
+            proxies: Vec::new(),
+            https: false,
+            origins: Vec::new(),
+            sign_in_idle_min: 720.0,
+            sign_in_days: 30.0,
+            requests_per_s: 50.0,
+        }
     }
 }
 
@@ -212,23 +235,42 @@ impl Record {
 }
 
 impl Http {
-    /// Whether the address may be served: loopback only, because there are no accounts yet.
-    ///
-    /// # Errors
-    /// Says what is wrong with the address and what would be right.
-    pub fn check(&self) -> Result<(), Violation> {
-        if self.listen.ip().is_loopback() {
-            return Ok(());
+    /// Whether others than this computer can reach it, so that there must be accounts.
+    pub fn is_reachable(&self) -> bool {
+        let proxied = self.https || !self.names.is_empty() || !self.proxies.is_empty();
+        proxied || !self.listen.ip().is_loopback()
+    }
+
+    fn check(&self) -> Result<(), Violation> {
+        let is_name = |name: &str| {
+            let plain = name.bytes().all(|byte| byte.is_ascii_alphanumeric() || b".-".contains(&byte));
+            plain && (1..=253).contains(&name.len())
+        };
+        if let Some(name) = self.names.iter().find(|name| !is_name(name)) {
+            return violation(
+                "http.names",
+                format!("has {name:?}, must be host names without scheme and port, such as site.example"),
+            );
         }
-        violation(
-            "http.listen",
-            format!(
-                "is {}, which others can reach; there are no accounts yet, so it must be a loopback address \
-                 such as 127.0.0.1:{}",
-                self.listen,
-                self.listen.port()
-            ),
-        )
+        let is_origin = |origin: &str| {
+            let rest = origin.strip_prefix("https://").or_else(|| origin.strip_prefix("http://"));
+            let (name, port) = rest.map_or(("", "1"), |rest| rest.rsplit_once(':').unwrap_or((rest, "1")));
+            is_name(name) && port.parse::<u16>().is_ok()
+        };
+        if let Some(origin) = self.origins.iter().find(|origin| !is_origin(origin)) {
+            return violation(
+                "http.origins",
+                format!("has {origin:?}, must be origins without path, such as https://portal.example"),
+            );
+        }
+        for (key, value, least, most) in [
+            ("http.sign_in_idle_min", self.sign_in_idle_min, 1.0, 1e6),
+            ("http.sign_in_days", self.sign_in_days, 0.01, 3660.0),
+            ("http.requests_per_s", self.requests_per_s, 1.0, 1e6),
+        ] {
+            within(key, value, least, most)?;
+        }
+        Ok(())
     }
 }
 
@@ -301,16 +343,38 @@ mod tests {
     }
 
     #[test]
-    fn address_that_others_can_reach_is_refused_with_its_line() {
-        for address in ["0.0.0.0:8080", "192.168.1.2:80", "[::]:8080"] {
-            let message = error(&format!("{MINIMAL}[http]\nlisten = \"{address}\"\n"));
-            assert!(message.starts_with(&format!("s.toml:7:1: http.listen is {address}")), "{message}");
-            assert!(message.contains("loopback"), "{message}");
+    fn what_others_can_reach_is_known_as_such() {
+        let http = |text: &str| {
+            parse::<Site>(&format!("{MINIMAL}[http]\n{text}\n"), Path::new("s.toml")).expect("valid").http
+        };
+        for text in ["0.0.0.0:8080", "192.168.1.2:80", "[::]:8080"] {
+            assert!(http(&format!("listen = \"{text}\"")).is_reachable(), "{text}");
         }
-        for address in ["127.0.0.1:0", "127.1.2.3:8080", "[::1]:8080"] {
-            let text = format!("{MINIMAL}[http]\nlisten = \"{address}\"\n");
-            assert!(parse::<Site>(&text, Path::new("s.toml")).is_ok(), "{address}");
+        for text in ["127.0.0.1:0", "127.1.2.3:8080", "[::1]:8080"] {
+            assert!(!http(&format!("listen = \"{text}\"")).is_reachable(), "{text}");
         }
+        for text in ["names = [\"site.example\"]", "proxies = [\"127.0.0.1\"]", "https = true"] {
+            assert!(http(text).is_reachable(), "{text}");
+        }
+        assert!(!http("origins = [\"https://portal.example\"]").is_reachable());
+    }
+
+    #[test]
+    fn names_origins_and_limits_that_are_none_are_refused() {
+        for (text, expected) in [
+            ("names = [\"http://a\"]", "s.toml:7:1: http.names has \"http://a\""),
+            ("origins = [\"https://a/\"]", "http.origins has \"https://a/\""),
+            ("origins = [\"a.example\"]", "http.origins has"),
+            ("origins = [\"https://a:x\"]", "http.origins has"),
+            ("sign_in_idle_min = 0", "http.sign_in_idle_min is 0, must be from 1"),
+            ("requests_per_s = nan", "http.requests_per_s is NaN"),
+            ("proxies = [\"proxy\"]", "invalid IP address"),
+        ] {
+            let message = error(&format!("{MINIMAL}[http]\n{text}\n"));
+            assert!(message.contains(expected), "{message}");
+        }
+        let text = "[http]\norigins = [\"https://portal.example:8443\", \"http://a\"]\n";
+        assert!(parse::<Site>(&format!("{MINIMAL}{text}"), Path::new("s.toml")).is_ok());
     }
 
     #[test]

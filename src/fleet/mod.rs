@@ -22,6 +22,7 @@ mod link;
 mod machine;
 mod outages;
 mod past;
+mod trail;
 mod view;
 
 use std::collections::BTreeMap;
@@ -37,6 +38,7 @@ pub use outages::{
     SigmaSummary, SigmaView, Statistics, Tally, Thinned, TrackPoint, TrackView,
 };
 pub use past::{PAST_POINTS_MAX, Past, SensorRate, StatePoint};
+pub use trail::{TRAIL_POINTS_MAX, TrailPoint, Trails};
 pub use view::{
     Ellipse95, FleetView, HealthView, LinkView, MachineView, PoseView, Presence, SIGMAS_95, Severity,
     SiteView, UtcTime, WorldView, recorded_word,

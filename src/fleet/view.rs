@@ -122,6 +122,18 @@ pub enum Severity {
     Offline,
 }
 
+impl Severity {
+    /// The name in JSON.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Severity::Good => "good",
+            Severity::Warning => "warning",
+            Severity::Bad => "bad",
+            Severity::Offline => "offline",
+        }
+    }
+}
+
 /// One machine at one time.
 #[derive(Clone, Debug, Serialize)]
 #[cfg_attr(feature = "shells", derive(utoipa::ToSchema))]

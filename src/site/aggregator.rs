@@ -8,6 +8,7 @@ use tokio::time::MissedTickBehavior;
 
 use super::clock::SiteClock;
 use super::ended;
+use super::foxglove::Feed;
 use super::history::{self, Note};
 use super::inlet::{Inbound, Message, Token};
 use crate::fleet::{
@@ -114,6 +115,7 @@ pub(super) async fn run(
     mut messages: mpsc::Receiver<Message>,
     mut tokens: mpsc::Receiver<Token>,
     outlets: Outlets,
+    mut feed: Feed,
     clock: SiteClock,
     mut stopped: watch::Receiver<bool>,
 ) {
@@ -135,7 +137,7 @@ pub(super) async fn run(
                 outlets.frames.send_replace(Arc::new(Frame::of(&fleet, number, now)));
             }
             count = messages.recv_many(&mut batch, BATCH) => {
-                batch.drain(..).for_each(|message| on_message(&mut fleet, &message));
+                batch.drain(..).for_each(|message| on_message(&mut fleet, &mut feed, &message));
                 if count == 0 {
                     // No more senders; frames go on, so that ages do.
                     tokio::time::sleep(Duration::from_millis(20)).await;
@@ -154,12 +156,13 @@ fn on_token(fleet: &mut Fleet, token: &Token) {
     tracing::info!("machine {machine}, boot {boot:016x}: {}", if *alive { "connected" } else { "gone" });
 }
 
-fn on_message(fleet: &mut Fleet, message: &Message) {
+fn on_message(fleet: &mut Fleet, feed: &mut Feed, message: &Message) {
     let (machine, error, received) = match message {
         Message::Gaps { machine, gaps } => return fleet.gaps(machine, *gaps),
         Message::Unusable { machine, error, received } => (machine, error.to_string(), *received),
         Message::Publication(inbound) => match on_publication(fleet, inbound) {
-            Ok(()) => return,
+            Ok(Use::Taken) => return feed.tell(inbound),
+            Ok(Use::Left) => return,
             Err(error) => (&inbound.machine, format!("{}: {error}", inbound.topic), inbound.received),
         },
     };
@@ -167,7 +170,14 @@ fn on_message(fleet: &mut Fleet, message: &Message) {
     tracing::debug!("machine {machine}: refused: {error}");
 }
 
-fn on_publication(fleet: &mut Fleet, inbound: &Inbound) -> Result<(), WireError> {
+/// What became of a message.
+enum Use {
+    Taken,
+    /// It is not for this fleet: from another machine of the same id, or from before a restart.
+    Left,
+}
+
+fn on_publication(fleet: &mut Fleet, inbound: &Inbound) -> Result<Use, WireError> {
     let Inbound { machine, topic, payload, attachment, received } = inbound;
     let publication = Publication {
         sequence: attachment.sequence,
@@ -182,9 +192,9 @@ fn on_publication(fleet: &mut Fleet, inbound: &Inbound) -> Result<(), WireError>
             tracing::warn!(
                 "two machines have the id {machine}: what the one of boot {boot} says is not used"
             );
-            return Ok(());
+            return Ok(Use::Left);
         }
-        Receipt::OldBoot | Receipt::TooManyMachines => return Ok(()),
+        Receipt::OldBoot | Receipt::TooManyMachines => return Ok(Use::Left),
     }
     match topic {
         Topic::Pose => fleet.pose(machine, pose_sample(&Odometry::decode(payload)?)?, *received),
@@ -198,7 +208,7 @@ fn on_publication(fleet: &mut Fleet, inbound: &Inbound) -> Result<(), WireError>
         // For the record only.
         Topic::Event | Topic::Journal | Topic::Sensor(_) => {}
     }
-    Ok(())
+    Ok(Use::Taken)
 }
 
 fn fleet_topic(topic: Topic) -> fleet::Topic {

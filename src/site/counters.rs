@@ -2,7 +2,7 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Counts since the start; `ws_clients` goes up and down.
+/// Counts since the start; `ws_clients` and `foxglove_clients` go up and down.
 #[derive(Debug, Default)]
 pub(super) struct Counters {
     /// Publications under a key that is none of ours, or too long.
@@ -17,6 +17,10 @@ pub(super) struct Counters {
     pub ws_clients: AtomicU64,
     /// Deltas that slow live clients did not get.
     pub ws_dropped: AtomicU64,
+    /// Clients of the Foxglove protocol that are connected.
+    pub foxglove_clients: AtomicU64,
+    /// Messages that slow ones of them did not get.
+    pub foxglove_dropped: AtomicU64,
 }
 
 /// Adds to a counter.

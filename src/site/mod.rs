@@ -6,6 +6,7 @@
 //! Zenoh callbacks ── try_send ─▶ aggregator (owns the fleet) ── newest frame ─▶ API, live clients, metrics
 //!        │                                                                          ▲
 //!        └────────── try_send ─▶ recorder thread (room `sessions`) ── progress ─────┘
+//! aggregator ── a ring of messages ─▶ clients of the Foxglove protocol (room `foxglove`)
 //! ```
 //! Nothing waits for something behind it: full channels drop and count, live clients get the newest frame.
 
@@ -14,13 +15,14 @@ mod alerts;
 mod backfill;
 mod clock;
 mod counters;
+mod foxglove;
 mod history;
 mod http;
 mod inlet;
 mod sessions;
 
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -28,6 +30,7 @@ use tokio::net::TcpListener;
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 
+use crate::accounts::{Accounts, AccountsError};
 use crate::config;
 use crate::fleet::{Fleet, SiteDescription};
 use crate::link;
@@ -51,6 +54,9 @@ pub enum SiteError {
     /// The configuration asks for what is not allowed.
     #[error("{0}")]
     Refused(#[from] config::Violation),
+    /// The accounts cannot be read.
+    #[error("the accounts cannot be used: {0}")]
+    Accounts(#[from] AccountsError),
     /// The address of page and API cannot be used.
     #[error("cannot listen on http://{address}/: {source}{}", hint(source))]
     Listen {
@@ -106,7 +112,8 @@ impl Site {
     /// # Errors
     /// [`SiteError`]: an address is taken or refused, the directory cannot be written.
     pub async fn start(config: &config::Site) -> Result<Self, SiteError> {
-        config.http.check()?;
+        let accounts = Accounts::of(&config.record.directory)?;
+        may_listen(&config.http, &accounts, "http.listen")?;
         let channels = alerts::channels(&config.alerts)?;
         let listen = config.http.listen;
         let listener = TcpListener::bind(listen)
@@ -171,7 +178,10 @@ impl Site {
         let site_frame = *fleet.frame();
         let (frame_sender, frames) = watch::channel(Arc::new(aggregator::Frame::of(&fleet, 0, clock.now())));
         let outlets = aggregator::Outlets { frames: frame_sender, history: history.inlet() };
-        let aggregator = aggregator::run(fleet, messages, tokens, outlets, clock, stopped.clone());
+        let (feed, feeds) = foxglove::Feed::new();
+        let aggregator = aggregator::run(fleet, messages, tokens, outlets, feed, clock, stopped.clone());
+        let trails = http::SharedTrails::default();
+        let follower = http::follow(Arc::clone(&trails), frames.clone(), stopped.clone());
         let backfill = recorder.as_ref().map(|recorder| {
             let outlets = backfill::Outlets {
                 session: session.clone(),
@@ -197,6 +207,7 @@ impl Site {
         let watching = alerts::start(&config.alerts, channels, surroundings);
         let shared = http::Shared {
             frames,
+            feeds,
             counters,
             catalogue,
             session: session.clone(),
@@ -216,9 +227,17 @@ impl Site {
             clock,
             exports: http::turnstile(),
             stopped: stopped.clone(),
+            people: Arc::new(http::People::new(accounts, config.http.clone(), clock)),
+            plan: http::Plan::of(&config.record.directory),
+            trails: Arc::clone(&trails),
         };
         let server = http::serve(listener, shared, stopped);
-        let mut tasks = vec![tokio::spawn(aggregator), tokio::spawn(historian), tokio::spawn(server)];
+        let mut tasks = vec![
+            tokio::spawn(aggregator),
+            tokio::spawn(historian),
+            tokio::spawn(follower),
+            tokio::spawn(server),
+        ];
         tasks.extend(watching.tasks);
         Ok(Self { address, endpoints, session, inlet, recorder, backfill, history, stop, tasks })
     }
@@ -264,6 +283,31 @@ impl Site {
         let _ = tokio::task::spawn_blocking(move || self.history.finish()).await;
         link::close(self.session).await;
     }
+}
+
+/// Whether page and API may be served there: where others can reach them, there must be accounts. `key` is what the
+/// address is called by.
+///
+/// # Errors
+/// There are none: says how to make one. Or they cannot be read.
+pub fn may_listen(http: &config::Http, accounts: &Accounts, key: &str) -> Result<(), SiteError> {
+    if !http.is_reachable() || accounts.exist()? {
+        return Ok(());
+    }
+    let why = match http.listen.ip().is_loopback() {
+        true => "others can reach it by a proxy, as http.names, http.proxies or http.https say".to_owned(),
+        false => "others can reach it".to_owned(),
+    };
+    let directory = accounts.path().parent().unwrap_or(Path::new(".")).display();
+    Err(SiteError::Refused(config::Violation {
+        key: key.to_owned(),
+        message: format!(
+            "is {}: {why}, and there is no account yet; make one with `holdfast site user add NAME --role admin \
+             --data {directory}`, or listen on a loopback address such as 127.0.0.1:{}",
+            http.listen,
+            http.listen.port()
+        ),
+    }))
 }
 
 /// Waits until the site is to end, or is gone.

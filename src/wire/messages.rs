@@ -59,11 +59,8 @@ impl Header {
         Self { stamp, frame_id: frame_id.to_owned() }
     }
 
-    fn write(&self, cdr: &mut CdrWriter) {
-        let seconds = self.stamp.as_nanos().div_euclid(NANOS_PER_SECOND);
-        let nanos = self.stamp.as_nanos().rem_euclid(NANOS_PER_SECOND);
-        cdr.i32(seconds.clamp(i64::from(i32::MIN), i64::from(i32::MAX)) as i32);
-        cdr.u32(nanos as u32);
+    pub(super) fn write(&self, cdr: &mut CdrWriter) {
+        write_time(self.stamp, cdr);
         cdr.string(&self.frame_id);
     }
 
@@ -72,15 +69,27 @@ impl Header {
     /// # Errors
     /// [`CdrError`] says what is wrong with which byte.
     pub fn read(cdr: &mut CdrReader<'_>) -> Result<Self, CdrError> {
-        let seconds = i64::from(cdr.i32()?);
-        let at = cdr.at();
-        let nanos = i64::from(cdr.u32()?);
-        if nanos >= NANOS_PER_SECOND {
-            return Err(CdrError::BadValue { at, reason: "is not nanoseconds of a second" });
-        }
-        let stamp = Stamp::from_nanos(seconds * NANOS_PER_SECOND + nanos);
+        let stamp = read_time(cdr)?;
         Ok(Self { stamp, frame_id: cdr.string()?.to_owned() })
     }
+}
+
+/// `builtin_interfaces/Time`.
+pub(super) fn write_time(stamp: Stamp, cdr: &mut CdrWriter) {
+    let seconds = stamp.as_nanos().div_euclid(NANOS_PER_SECOND);
+    let nanos = stamp.as_nanos().rem_euclid(NANOS_PER_SECOND);
+    cdr.i32(seconds.clamp(i64::from(i32::MIN), i64::from(i32::MAX)) as i32);
+    cdr.u32(nanos as u32);
+}
+
+pub(super) fn read_time(cdr: &mut CdrReader<'_>) -> Result<Stamp, CdrError> {
+    let seconds = i64::from(cdr.i32()?);
+    let at = cdr.at();
+    let nanos = i64::from(cdr.u32()?);
+    if nanos >= NANOS_PER_SECOND {
+        return Err(CdrError::BadValue { at, reason: "is not nanoseconds of a second" });
+    }
+    Ok(Stamp::from_nanos(seconds * NANOS_PER_SECOND + nanos))
 }
 
 /// `sensor_msgs/Imu`. Covariances are row-major 3×3; -1 as their first element means that there is no value,

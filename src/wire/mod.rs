@@ -13,6 +13,7 @@ mod keys;
 mod messages;
 mod report;
 mod schema;
+mod shown;
 mod topic;
 
 pub use attachment::{ATTACHMENT_BYTES, Attachment, BootId};
@@ -27,6 +28,7 @@ pub use report::{
     decode_report, encode_json, payload_stamp,
 };
 pub use schema::{Schema, schema_of};
+pub use shown::{Log, LogLevel, TfMessage, TransformStamped};
 pub use topic::Topic;
 
 /// Why bytes from the wire cannot be used.

@@ -2,6 +2,7 @@
 
 use super::Topic;
 use super::messages::{Imu, JointState, NavSatFix, Odometry, RosMessage};
+use super::shown::{Log, TfMessage};
 use crate::sensors::Sensor;
 
 /// Between the definitions of one schema: a line of eighty, as `ros2msg` has it.
@@ -103,6 +104,37 @@ const JOINT_STATE: &str = concat!(
     header!(),
 );
 
+const TF_MESSAGE: &str = concat!(
+    "geometry_msgs/TransformStamped[] transforms\n",
+    separator!(),
+    "geometry_msgs/TransformStamped\n",
+    "std_msgs/Header header\n",
+    "string child_frame_id\n",
+    "geometry_msgs/Transform transform\n",
+    header!(),
+    separator!(),
+    "geometry_msgs/Transform\nVector3 translation\nQuaternion rotation\n",
+    quaternion!(),
+    vector3!(),
+);
+
+const LOG: &str = concat!(
+    "uint8 DEBUG=10\n",
+    "uint8 INFO=20\n",
+    "uint8 WARN=30\n",
+    "uint8 ERROR=40\n",
+    "uint8 FATAL=50\n",
+    "builtin_interfaces/Time stamp\n",
+    "uint8 level\n",
+    "string name\n",
+    "string msg\n",
+    "string file\n",
+    "string function\n",
+    "uint32 line\n",
+    separator!(),
+    "builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n",
+);
+
 /// Name and definition of a ROS 2 message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Schema {
@@ -127,6 +159,16 @@ pub const fn schema_of(topic: Topic) -> Option<Schema> {
     }
 }
 
+/// Of messages that are made for those who look on, and not recorded.
+impl Schema {
+    /// Places of frames.
+    pub const TRANSFORMS: Schema = Schema { name: TfMessage::TYPE, definition: TF_MESSAGE };
+    /// A place on the earth.
+    pub const LOCATION: Schema = Schema { name: NavSatFix::TYPE, definition: NAV_SAT_FIX };
+    /// What happened, in words.
+    pub const LOG: Schema = Schema { name: Log::TYPE, definition: LOG };
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -136,11 +178,12 @@ mod tests {
 
     #[test]
     fn every_type_that_is_used_is_defined_once() {
-        for topic in Topic::ALL {
-            let Some(schema) = schema_of(topic) else {
-                assert!(topic.is_json());
-                continue;
-            };
+        let recorded = Topic::ALL.into_iter().filter_map(|topic| {
+            assert_eq!(schema_of(topic).is_none(), topic.is_json(), "{topic}");
+            schema_of(topic)
+        });
+        for schema in recorded.chain([Schema::TRANSFORMS, Schema::LOCATION, Schema::LOG]) {
+            let topic = schema.name;
             let mut defined: Vec<&str> =
                 schema.definition.lines().filter_map(|line| line.strip_prefix("MSG: ")).collect();
             let count = defined.len();

@@ -237,6 +237,7 @@ function fleet() {
 
 function sessions() {
   return {
+    next: null,
     recording: { state: "recording", why: null, session: "20261123T050000Z", missed: 0, next_session: null },
     sessions: [
       {

@@ -73,14 +73,15 @@ describe("the list of recordings", () => {
       missed: 3,
       next_session: null,
     };
-    expect(checkSessions({ recording, sessions: [session] }, "sessions")).toEqual({
+    expect(checkSessions({ recording, sessions: [session], next: null }, "sessions")).toEqual({
       recording,
       sessions: [session],
+      next: null,
     });
-    expect(() => checkSessions({ recording, sessions: [{ ...session, state: "lost" }] }, "sessions")).toThrow(
+    expect(() => checkSessions({ recording, sessions: [{ ...session, state: "lost" }], next: null }, "sessions")).toThrow(
       "sessions.sessions[0].state",
     );
-    expect(() => checkSessions({ recording: { ...recording, why: 1 }, sessions: [] }, "sessions")).toThrow(
+    expect(() => checkSessions({ recording: { ...recording, why: 1 }, sessions: [], next: null }, "sessions")).toThrow(
       "sessions.recording.why",
     );
   });

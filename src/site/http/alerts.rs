@@ -10,11 +10,11 @@ use serde::{Deserialize, Serialize};
 use tokio::sync::oneshot;
 
 use super::Shared;
-use super::api::malformed;
+use super::input::{json, malformed};
 use super::outages::ask;
 use super::problem::Problem;
 use super::query::{bad, limit, time, understood};
-use super::sessions::read;
+use super::visitor::Visitor;
 use crate::fleet::{AlertState, AlertView, RuleKind, Unacknowledged};
 use crate::site::alerts::{Acknowledge, Letter, test_alert};
 use crate::site::history::{AlertFilter, Cursor};
@@ -110,7 +110,7 @@ pub(super) async fn list(
 
 /// Somebody saw the alert.
 #[utoipa::path(post, path = "/api/v1/alerts/{id}/acknowledge", operation_id = "acknowledge_alert", tag = "alerts",
-    params(("id" = String, Path, description = "The alert's id")),
+    params(("id" = String, Path, description = "The alert's id", min_length = 1, max_length = 64)),
     request_body(content = Option<AcknowledgeRequest>, description = "A note; may be left out"),
     responses((status = OK, body = AlertView),
         (status = BAD_REQUEST, body = Problem, content_type = "application/problem+json"),
@@ -120,17 +120,18 @@ pub(super) async fn list(
         (status = SERVICE_UNAVAILABLE, body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn acknowledge(
     State(shared): State<Shared>,
+    visitor: Visitor,
     id: Result<Path<String>, PathRejection>,
     headers: HeaderMap,
     body: Result<Bytes, BytesRejection>,
 ) -> Result<Json<AlertView>, Problem> {
     let Path(id) = id.map_err(malformed)?;
-    let request: AcknowledgeRequest = read(&headers, body)?.unwrap_or_default();
+    let request: AcknowledgeRequest = json(&headers, body)?.unwrap_or_default();
     if request.note.chars().count() > NOTE_MAX {
         return Err(bad(format!("note has more than {NOTE_MAX} characters")));
     }
     let (answer, answered) = oneshot::channel();
-    let command = Acknowledge { id: id.clone(), by: who(), note: request.note, answer };
+    let command = Acknowledge { id: id.clone(), by: who(&visitor), note: request.note, answer };
     let ends = || Problem::new(StatusCode::SERVICE_UNAVAILABLE, "the server ends");
     shared.alerts.commands.send(command).await.map_err(|_| ends())?;
     match answered.await.map_err(|_| ends())? {
@@ -150,9 +151,9 @@ fn already(id: &str) -> Problem {
     Problem::new(StatusCode::CONFLICT, format!("alert {id} is acknowledged already"))
 }
 
-/// Who asks: there are no accounts, and only this computer reaches the server.
-fn who() -> String {
-    "anonymous on loopback".to_owned()
+/// Who asks; without accounts only this computer reaches the server.
+fn who(visitor: &Visitor) -> String {
+    visitor.known.as_ref().map_or_else(|| "anonymous on loopback".to_owned(), |known| known.name.clone())
 }
 
 /// Sends a test through all channels, and waits for what they say; nothing is tried twice.

@@ -3,10 +3,10 @@
 use axum::Json;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
-use axum::http::StatusCode;
 use serde::Serialize;
 
 use super::Shared;
+use super::input::malformed;
 use super::problem::Problem;
 use crate::fleet::{FleetView, MachineView};
 
@@ -33,7 +33,7 @@ pub(super) async fn machines(State(shared): State<Shared>) -> Json<MachinesView>
 
 /// One machine, as it is now.
 #[utoipa::path(get, path = "/api/v1/machines/{id}", tag = "fleet",
-    params(("id" = String, Path, description = "The machine's id")),
+    params(("id" = String, Path, description = "The machine's id", min_length = 1, max_length = 64)),
     responses((status = OK, body = MachineView),
         (status = NOT_FOUND, body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn machine(
@@ -42,8 +42,4 @@ pub(super) async fn machine(
 ) -> Result<Json<MachineView>, Problem> {
     let Path(id) = id.map_err(malformed)?;
     shared.frame().machine(&id).cloned().map(Json).ok_or_else(|| Problem::not_found("machine", &id))
-}
-
-pub(super) fn malformed(rejection: PathRejection) -> Problem {
-    Problem::new(StatusCode::BAD_REQUEST, rejection.body_text())
 }

@@ -1,11 +1,12 @@
 //! The page, out of the binary; and what is nowhere.
 
-use axum::http::header::{ALLOW, CACHE_CONTROL, CONTENT_TYPE, ETAG, IF_NONE_MATCH};
+use axum::http::header::{ALLOW, CACHE_CONTROL, CONTENT_TYPE, ETAG};
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri};
 use axum::response::{IntoResponse, Response};
 use rust_embed::Embed;
 
-use super::problem::{Problem, method_not_allowed};
+use super::input::is_known;
+use super::problem::Problem;
 
 /// Built from `web/` by the build script.
 #[derive(Embed)]
@@ -20,9 +21,9 @@ pub(super) async fn serve(method: Method, uri: Uri, headers: HeaderMap) -> Respo
         return Problem::not_found("page or resource", uri.path()).into_response();
     };
     if method != Method::GET && method != Method::HEAD {
-        let mut response = method_not_allowed(method, uri).await.into_response();
-        response.headers_mut().insert(ALLOW, HeaderValue::from_static("GET, HEAD"));
-        return response;
+        let detail = format!("{} does not answer {method}", uri.path());
+        let problem = Problem::new(StatusCode::METHOD_NOT_ALLOWED, detail);
+        return problem.with(ALLOW, HeaderValue::from_static("GET, HEAD")).into_response();
     }
     let hash = file.metadata.sha256_hash();
     let tag: String = hash[..16].iter().map(|byte| format!("{byte:02x}")).collect();
@@ -32,8 +33,7 @@ pub(super) async fn serve(method: Method, uri: Uri, headers: HeaderMap) -> Respo
         true => "public, max-age=31536000, immutable",
         false => "no-cache",
     };
-    let known = headers.get(IF_NONE_MATCH).and_then(|value| value.to_str().ok());
-    let mut response = match known.is_some_and(|known| known.split(',').any(|known| known.trim() == tag)) {
+    let mut response = match is_known(&headers, &tag) {
         true => StatusCode::NOT_MODIFIED.into_response(),
         false => (StatusCode::OK, file.data.into_owned()).into_response(),
     };

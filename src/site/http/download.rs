@@ -4,11 +4,10 @@ use std::collections::VecDeque;
 use std::io::SeekFrom;
 
 use axum::body::{Body, Bytes};
-use axum::extract::rejection::{PathRejection, QueryRejection};
-use axum::extract::{Path, Query, State};
+use axum::extract::rejection::PathRejection;
+use axum::extract::{Path, State};
 use axum::http::header::{
-    ACCEPT_RANGES, CONTENT_DISPOSITION, CONTENT_LENGTH, CONTENT_RANGE, CONTENT_TYPE, ETAG, IF_NONE_MATCH,
-    RANGE,
+    ACCEPT_RANGES, CONTENT_DISPOSITION, CONTENT_LENGTH, CONTENT_RANGE, CONTENT_TYPE, ETAG, IF_RANGE, RANGE,
 };
 use axum::http::{HeaderMap, HeaderValue, StatusCode};
 use axum::response::{IntoResponse, Response};
@@ -17,7 +16,7 @@ use tokio::fs::File;
 use tokio::io::{AsyncReadExt, AsyncSeekExt};
 
 use super::Shared;
-use super::api::malformed;
+use super::input::{Parameters, is_known, malformed};
 use super::problem::Problem;
 use super::sessions::ask;
 use crate::record::{Piece, merge};
@@ -28,6 +27,7 @@ const BLOCK_BYTES: u64 = 256 * 1024;
 
 /// Which part of a session's recording.
 #[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub(super) struct Wanted {
     file: Option<u32>,
 }
@@ -35,25 +35,26 @@ pub(super) struct Wanted {
 /// The recording of a session as one MCAP file, also if it has several: their data are put one after the other
 /// on the way out. Of a running session, what is on the disk, without an index.
 #[utoipa::path(get, path = "/api/v1/sessions/{id}/recording.mcap", tag = "sessions",
-    params(("id" = String, Path, description = "The session's id"),
-        ("file" = Option<u32>, Query, description = "Only the session's file of that number, as it is"),
-        ("Range" = Option<String>, Header, description = "One range of bytes")),
+    params(("id" = String, Path, description = "The session's id", min_length = 1, max_length = 64),
+        ("file" = Option<u32>, Query, description = "Only the session's file of that number, as it is", minimum = 0),
+        ("Range" = Option<String>, Header, description = "One range of bytes"),
+        ("If-Range" = Option<String>, Header, description = "Only if the tag is still that; else the whole"),
+        ("If-None-Match" = Option<String>, Header, description = "Tags that the client has")),
     responses((status = OK, content_type = "application/octet-stream", body = Vec<u8>),
         (status = PARTIAL_CONTENT, content_type = "application/octet-stream", body = Vec<u8>),
-        (status = BAD_REQUEST, body = Problem, content_type = "application/problem+json"),
+        (status = NOT_MODIFIED, description = "The client has it"),
         (status = NOT_FOUND, body = Problem, content_type = "application/problem+json"),
         (status = CONFLICT, description = "Its files cannot be put together: fetch them one by one",
             body = Problem, content_type = "application/problem+json"),
-        (status = RANGE_NOT_SATISFIABLE, body = Problem, content_type = "application/problem+json")))]
+        (status = RANGE_NOT_SATISFIABLE, body = Problem, content_type = "application/problem+json",
+            headers(("Content-Range" = String, description = "How long it is")))))]
 pub(super) async fn recording(
     State(shared): State<Shared>,
     id: Result<Path<String>, PathRejection>,
-    wanted: Result<Query<Wanted>, QueryRejection>,
+    Parameters(Wanted { file }): Parameters<Wanted>,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
     let Path(id) = id.map_err(malformed)?;
-    let Query(Wanted { file }) =
-        wanted.map_err(|rejection| Problem::new(StatusCode::BAD_REQUEST, rejection.body_text()))?;
     let asked = id.clone();
     let download =
         ask(&shared, move |catalogue, progress| plan(catalogue.locate(&asked, progress), &asked, file))
@@ -62,18 +63,23 @@ pub(super) async fn recording(
     let bytes: u64 = pieces.iter().map(Piece::bytes).sum();
     // A finished file is never written again, except by recovery, which changes its length.
     let tag = finished.then(|| format!("\"{name}-{bytes}\""));
-    let known = headers.get(IF_NONE_MATCH).and_then(|value| value.to_str().ok());
-    if known.is_some() && known == tag.as_deref() {
-        return Ok(StatusCode::NOT_MODIFIED.into_response());
+    if let Some(tag) = tag.as_deref().filter(|tag| is_known(&headers, tag)) {
+        let mut response = StatusCode::NOT_MODIFIED.into_response();
+        response.headers_mut().extend(HeaderValue::from_str(tag).ok().map(|tag| (ETAG, tag)));
+        return Ok(response);
     }
-    let range =
-        headers.get(RANGE).and_then(|value| value.to_str().ok()).map(|range| parse_range(range, bytes));
+    // A part of something else than the client has the beginning of would be of no use to it.
+    let is_the_same = headers.get(IF_RANGE).is_none_or(|has| tag.as_deref().is_some_and(|tag| has == tag));
+    let range = headers.get(RANGE).filter(|_| is_the_same).and_then(|value| value.to_str().ok());
+    let range = range.map(|range| parse_range(range, bytes));
     let (status, first, length) = match range {
         None | Some(Range::Ignored) => (StatusCode::OK, 0, bytes),
         Some(Range::Part { first, last }) => (StatusCode::PARTIAL_CONTENT, first, last - first + 1),
         Some(Range::Outside) => {
             let detail = format!("the recording has {bytes} bytes");
-            return Err(Problem::new(StatusCode::RANGE_NOT_SATISFIABLE, detail));
+            let problem = Problem::new(StatusCode::RANGE_NOT_SATISFIABLE, detail);
+            let whole = HeaderValue::from_str(&format!("bytes */{bytes}"));
+            return Err(whole.into_iter().fold(problem, |problem, whole| problem.with(CONTENT_RANGE, whole)));
         }
     };
     let mut source = Source { pieces: cut(pieces, first, length), open: None };
@@ -127,7 +133,7 @@ fn plan(located: Option<Located>, id: &str, file: Option<u32>) -> Result<Downloa
         .collect();
     let as_it_is = |path: &std::path::Path| {
         let about = std::fs::metadata(path).map_err(|error| unreadable(id, &error))?;
-        Ok(vec![Piece::Of { path: path.to_owned(), start: 0, bytes: about.len() }])
+        Ok::<_, Problem>(vec![Piece::Of { path: path.to_owned(), start: 0, bytes: about.len() }])
     };
     if let Some(wanted) = file {
         let name = format!("{id}-{wanted:04}");

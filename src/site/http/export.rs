@@ -10,8 +10,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use axum::body::{Body, Bytes};
-use axum::extract::rejection::{PathRejection, QueryRejection};
-use axum::extract::{Path, Query, State};
+use axum::extract::rejection::PathRejection;
+use axum::extract::{Path, State};
 use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE};
 use axum::http::{HeaderValue, StatusCode};
 use axum::response::{IntoResponse, Response};
@@ -19,7 +19,7 @@ use serde::Deserialize;
 use tokio::sync::{Semaphore, mpsc, oneshot};
 
 use super::Shared;
-use super::api::malformed;
+use super::input::{Parameters, malformed};
 use super::problem::Problem;
 use super::sessions::ask;
 use crate::export::{
@@ -59,7 +59,7 @@ pub(super) struct Wanted {
 /// The poses of a session's machines as a file for other programs: of the cabin IMU in the site, as they were published
 /// live, each machine a track, in the order of their stamps. Of a running session, what is on the disk.
 #[utoipa::path(get, path = "/api/v1/sessions/{id}/export", tag = "sessions",
-    params(("id" = String, Path, description = "The session's id"),
+    params(("id" = String, Path, description = "The session's id", min_length = 1, max_length = 64),
         ("format" = String, Query, description = "tum, csv, geojson, gpx or kml"),
         ("machine" = Option<String>, Query, description = "Only this machine; a TUM file takes one"),
         ("frame" = Option<String>, Query,
@@ -81,10 +81,9 @@ pub(super) struct Wanted {
 pub(super) async fn export(
     State(shared): State<Shared>,
     id: Result<Path<String>, PathRejection>,
-    wanted: Result<Query<Wanted>, QueryRejection>,
+    Parameters(wanted): Parameters<Wanted>,
 ) -> Result<Response, Problem> {
     let Path(id) = id.map_err(malformed)?;
-    let Query(wanted) = wanted.map_err(|rejection| bad(rejection.body_text()))?;
     let asked = id.clone();
     let located = ask(&shared, move |catalogue, progress| catalogue.locate(&asked, progress)).await?;
     let located = located.ok_or_else(|| Problem::not_found("session", &id))?;

@@ -16,6 +16,7 @@ use serde::{Deserialize, Serialize};
 
 use super::Shared;
 use super::problem::Problem;
+use super::visitor::Visitor;
 use crate::fleet::{Alert, AlertView, FleetView, MachineView};
 use crate::site::aggregator::{FRAME_RATE_HZ, Frame, Revision};
 use crate::site::counters::{add, get};
@@ -33,6 +34,8 @@ const SEND_TIMEOUT: Duration = Duration::from_secs(10);
 const QUIET_FRAMES_MAX: u64 = FRAME_RATE_HZ as u64;
 /// No request is longer.
 const REQUEST_BYTES_MAX: usize = 64 * 1024;
+/// Who was let in is asked for again so often: it may have been removed, or signed out.
+const STILL_EVERY: Duration = Duration::from_secs(2);
 /// More names in a subscription are refused.
 const MACHINES_MAX: usize = crate::fleet::MACHINES_MAX;
 
@@ -92,11 +95,16 @@ pub(super) enum Request {
 /// Live data as a WebSocket: one `snapshot`, then a `delta` at each turn. See the schemas `LiveMessage` and
 /// `Request`.
 #[utoipa::path(get, path = "/api/v1/live", tag = "fleet",
+    params(("ticket" = Option<String>, Query, max_length = 64,
+        description = "From `POST /api/v1/live-ticket`, for those who can send neither cookie nor token")),
     responses((status = SWITCHING_PROTOCOLS, description = "A WebSocket", body = LiveMessage),
         (status = BAD_REQUEST, body = Problem, content_type = "application/problem+json"),
+        (status = UPGRADE_REQUIRED, body = Problem, content_type = "application/problem+json"),
+        (status = SERVICE_UNAVAILABLE, body = Problem, content_type = "application/problem+json"),
         (status = FORBIDDEN, body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn live(
     State(shared): State<Shared>,
+    visitor: Visitor,
     upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
 ) -> Result<Response, Problem> {
     let upgrade = upgrade.map_err(|rejection| Problem::new(rejection.status(), rejection.body_text()))?;
@@ -104,17 +112,17 @@ pub(super) async fn live(
         let detail = format!("{CLIENTS_MAX} live clients are connected already");
         return Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, detail));
     }
-    Ok(upgrade.max_message_size(REQUEST_BYTES_MAX).on_upgrade(move |socket| serve(socket, shared)))
+    Ok(upgrade.max_message_size(REQUEST_BYTES_MAX).on_upgrade(move |socket| serve(socket, shared, visitor)))
 }
 
-async fn serve(mut socket: WebSocket, shared: Shared) {
+async fn serve(mut socket: WebSocket, shared: Shared, visitor: Visitor) {
     add(&shared.counters.ws_clients, 1);
     // An error is a client that went away: nobody is left to tell.
-    let _ = talk(&mut socket, &shared).await;
+    let _ = talk(&mut socket, &shared, &visitor).await;
     shared.counters.ws_clients.fetch_sub(1, std::sync::atomic::Ordering::Relaxed);
 }
 
-async fn talk(socket: &mut WebSocket, shared: &Shared) -> Result<(), axum::Error> {
+async fn talk(socket: &mut WebSocket, shared: &Shared, visitor: &Visitor) -> Result<(), axum::Error> {
     let mut frames = shared.frames.clone();
     let mut stopped = shared.stopped.clone();
     let mut open = shared.alerts.open.clone();
@@ -122,6 +130,7 @@ async fn talk(socket: &mut WebSocket, shared: &Shared) -> Result<(), axum::Error
     let mut client = Client::new(frame.number);
     let snapshot = client.snapshot(&frame);
     send(socket, snapshot).await?;
+    let mut asking = tokio::time::interval(STILL_EVERY);
     loop {
         tokio::select! {
             () = ended(&mut stopped) => {
@@ -129,6 +138,11 @@ async fn talk(socket: &mut WebSocket, shared: &Shared) -> Result<(), axum::Error
                 let close = CloseFrame { code: close_code::AWAY, reason };
                 return send(socket, Message::Close(Some(close))).await;
             }
+            _ = asking.tick() => if !shared.people.still(visitor) {
+                let reason = "who opened this is not known any more".into();
+                let close = CloseFrame { code: close_code::POLICY, reason };
+                return send(socket, Message::Close(Some(close))).await;
+            },
             request = socket.recv() => match request {
                 None => return Ok(()),
                 Some(Err(error)) => return Err(error),

@@ -1,7 +1,9 @@
 //! The numbers of site and machines in the OpenMetrics text format.
 //!
 //! Everything is read off the newest frame and the counters when it is asked for; nothing is kept up to date
-//! for nobody. Labels are the machine and the kind of a thing, so that their number is bounded.
+//! for nobody. Names are by Prometheus' conventions: base units at the end, and `_total` behind it for what only grows.
+//! Labels are the machine and the kind of a thing: at most some twenty series a machine, and there are
+//! [`MACHINES_MAX`](crate::fleet::MACHINES_MAX) machines at most.
 
 use std::sync::atomic::{AtomicI64, AtomicU64};
 
@@ -14,7 +16,7 @@ use prometheus_client::metrics::counter::ConstCounter;
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::{ConstGauge, Gauge};
 use prometheus_client::metrics::info::Info;
-use prometheus_client::registry::Registry;
+use prometheus_client::registry::{Metric, Registry, Unit};
 
 use super::Shared;
 use super::problem::Problem;
@@ -100,16 +102,17 @@ fn machines(registry: &mut Registry, machines: &[MachineView]) {
             dead_reckoning.get_or_create(&labels()).set(outage.map_or(0.0, |outage| outage.travelled_m));
         }
     }
-    registry.register("machine_up", "1 if the machine is connected and its data are young", up);
-    registry.register("pose_age_seconds", "Since the newest pose arrived", pose_age);
-    registry.register("position_sigma_meters", "One sigma of the position along an axis", sigma);
-    registry.register("gnss_fix", "1 for the state that the machine's fixes are in", fix);
-    registry.register("dead_reckoning_meters", "Way since the last good fix, in an outage", dead_reckoning);
-    registry.register("clock_offset_seconds", "Site's clock less the machine's, plus transit", clock_offset);
-    registry.register("pose_rate_hertz", "Poses in the last second", pose_rate);
-    registry.register("samples_received", "Messages that arrived", received);
-    registry.register("samples_missed", "Messages that were sent but did not arrive", missed);
-    registry.register(
+    register(registry, "machine_up", "1 if the machine is connected and its data are young", up);
+    register(registry, "pose_age_seconds", "Since the newest pose arrived", pose_age);
+    register(registry, "position_sigma_meters", "One sigma of the position along an axis", sigma);
+    register(registry, "gnss_fix", "1 for the state that the machine's fixes are in", fix);
+    register(registry, "dead_reckoning_meters", "Way since the last good fix, in an outage", dead_reckoning);
+    register(registry, "clock_offset_seconds", "Site's clock less the machine's, plus transit", clock_offset);
+    register(registry, "pose_rate_hertz", "Poses in the last second", pose_rate);
+    register(registry, "samples_received", "Messages that arrived", received);
+    register(registry, "samples_missed", "Messages that were sent but did not arrive", missed);
+    register(
+        registry,
         "recording_gaps",
         "Messages that the recording lacks, lacked, or will always lack",
         gaps,
@@ -118,47 +121,72 @@ fn machines(registry: &mut Registry, machines: &[MachineView]) {
 
 fn site(registry: &mut Registry, shared: &Shared) {
     let counters = &shared.counters;
-    registry.register(
+    register(
+        registry,
         "build",
         "Version of the server",
         Info::new(vec![("version", env!("CARGO_PKG_VERSION"))]),
     );
     for (name, help, value) in [
         ("ws_dropped", "Deltas that slow live clients did not get", &counters.ws_dropped),
+        ("foxglove_dropped", "Messages that slow Foxglove clients did not get", &counters.foxglove_dropped),
         ("aggregator_dropped", "Messages dropped before the fleet saw them", &counters.aggregator_dropped),
         ("recorder_dropped", "Messages dropped before they were recorded", &counters.recorder_dropped),
         ("tokens_dropped", "Liveliness tokens dropped", &counters.tokens_dropped),
-        ("foreign", "Publications under keys that are none of ours", &counters.foreign),
+        ("foreign_messages", "Publications under keys that are none of ours", &counters.foreign),
     ] {
-        registry.register(name, help, ConstCounter::new(get(value)));
+        register(registry, name, help, ConstCounter::new(get(value)));
     }
-    registry.register("ws_clients", "Live clients", ConstGauge::new(integer(get(&counters.ws_clients))));
+    for (name, help, value) in [
+        ("ws_clients", "Live clients", &counters.ws_clients),
+        ("foxglove_clients", "Clients of the Foxglove protocol", &counters.foxglove_clients),
+    ] {
+        register(registry, name, help, ConstGauge::new(integer(get(value))));
+    }
     if let Some(progress) = shared.progress() {
         let unsynced_s = progress.unsynced_since.map_or(0.0, |since| shared.clock.now().seconds_since(since));
-        registry.register(
+        register(
+            registry,
             "recording_bytes",
             "Recorded since the start",
             ConstCounter::new(progress.total_bytes),
         );
         let paused = i64::from(progress.state == RecordingState::Paused);
-        registry.register(
+        register(
+            registry,
             "recording_paused",
             "1 if what arrives should be recorded, but cannot",
             ConstGauge::new(paused),
         );
-        registry.register(
+        register(
+            registry,
             "recording_missed",
             "Messages that came while the recording was paused",
             ConstCounter::new(progress.missed),
         );
-        registry.register(
+        register(
+            registry,
             "recording_unsynced_seconds",
             "Age of the oldest message that may not be on the disk",
             ConstGauge::new(unsynced_s),
         );
     }
     if let Some(free) = shared.record_directory.as_deref().and_then(disk_free_bytes) {
-        registry.register("disk_free_bytes", "Left where recordings go", ConstGauge::new(integer(free)));
+        register(registry, "disk_free_bytes", "Left where recordings go", ConstGauge::new(integer(free)));
+    }
+}
+
+/// A name that ends with a unit says so to those who read the metadata, too.
+fn register(registry: &mut Registry, name: &str, help: &str, metric: impl Metric) {
+    let units = [
+        ("_seconds", Unit::Seconds),
+        ("_bytes", Unit::Bytes),
+        ("_meters", Unit::Meters),
+        ("_hertz", Unit::Other("hertz".to_owned())),
+    ];
+    match units.into_iter().find_map(|(end, unit)| Some((name.strip_suffix(end)?, unit))) {
+        Some((stem, unit)) => registry.register_with_unit(stem, help, unit, metric),
+        None => registry.register(name, help, metric),
     }
 }
 

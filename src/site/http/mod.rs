@@ -1,33 +1,49 @@
 //! The site's HTTP door: API, live WebSocket, metrics, page. Reads the newest frame; asks nothing back.
 
+mod aemp;
 mod alerts;
 mod api;
 mod assets;
+mod audit;
+mod buckets;
+mod docs;
 mod download;
 mod export;
+mod foxglove;
 mod guard;
+mod input;
 mod live;
 mod metrics;
+mod origin;
 mod outages;
+mod people;
+mod plan;
 mod problem;
 mod query;
 mod ready;
+mod routes;
 mod sessions;
 pub(super) mod tracks;
+#[cfg(test)]
+mod tests;
+mod tokens;
+mod trajectory;
+mod users;
+mod visitor;
 
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::mpsc::SyncSender;
 
-use axum::Router;
-use axum::http::header::CONTENT_TYPE;
-use axum::middleware;
+use axum::extract::DefaultBodyLimit;
 use axum::routing::get;
 use axum::serve::ListenerExt as _;
+use axum::{Extension, Router, middleware};
 use tokio::net::TcpListener;
 use tokio::sync::{Semaphore, mpsc, watch};
 use utoipa::OpenApi;
-use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::router::UtoipaMethodRouterExt as _;
 use utoipa_axum::routes;
 
 use super::aggregator::Frame;
@@ -35,17 +51,23 @@ use super::alerts::{Acknowledge, Channel};
 use super::clock::SiteClock;
 use super::counters::Counters;
 use super::ended;
+use super::foxglove::Feeds;
 use super::history::Archive;
 use super::sessions::{Catalogue, Command, Progress};
 use crate::fleet::Alert;
 use crate::frames::geodesy::SiteFrame;
 pub(super) use export::turnstile;
+pub(super) use plan::Plan;
 use problem::Problem;
+use routes::{Needs, Routes};
+pub(super) use trajectory::{SharedTrails, follow};
+pub(super) use visitor::People;
 
 /// What the handlers see of the site.
 #[derive(Clone)]
 pub(super) struct Shared {
     pub frames: watch::Receiver<Arc<Frame>>,
+    pub feeds: Feeds,
     pub counters: Arc<Counters>,
     pub catalogue: Arc<Catalogue>,
     pub session: zenoh::Session,
@@ -64,6 +86,9 @@ pub(super) struct Shared {
     /// How many exports may be made at once.
     pub exports: Arc<Semaphore>,
     pub stopped: watch::Receiver<bool>,
+    pub people: Arc<People>,
+    pub plan: Plan,
+    pub trails: SharedTrails,
 }
 
 /// What the handlers see of the alerts.
@@ -88,6 +113,7 @@ impl Shared {
 #[openapi(
     info(
         title = "holdfast site",
+        license(name = "MIT OR Apache-2.0", identifier = "MIT OR Apache-2.0"),
         description = "Where each excavator of a site is. Times are RFC 3339 UTC with nanoseconds; ages are by \
                        the site's clock; units are in the names. Errors are RFC 9457 problem details."
     ),
@@ -96,54 +122,89 @@ impl Shared {
         (name = "alerts", description = "What somebody should look at"),
         (name = "outages", description = "When, where and why GNSS failed"),
         (name = "sessions", description = "Recordings"),
+        (name = "accounts", description = "Who may do what. As long as there are no accounts, and only this \
+                                           computer reaches the server, nobody is asked"),
         (name = "operation", description = "Of the server itself")
     ),
     components(schemas(Problem, live::LiveMessage, live::Request, outages::OutageState))
 )]
 struct Documentation;
 
+/// All routes, each with the least role that may use it.
+fn routes() -> Routes {
+    let plan_body = DefaultBodyLimit::max(plan::PLAN_BYTES_MAX);
+    Routes::new(Documentation::openapi())
+        .viewer(routes!(api::fleet))
+        .viewer(routes!(api::machines))
+        .viewer(routes!(api::machine))
+        .viewer(routes!(trajectory::trajectory))
+        .viewer(routes!(live::live))
+        .viewer(routes!(plan::plan))
+        .admin(routes!(plan::put).layer(plan_body))
+        .viewer(routes!(alerts::list))
+        .operator(routes!(alerts::acknowledge))
+        .operator(routes!(alerts::test))
+        .viewer(routes!(outages::list))
+        .viewer(routes!(outages::statistics))
+        .viewer(routes!(outages::outage))
+        .viewer(routes!(outages::shadow_map))
+        .viewer(routes!(sessions::list))
+        .operator(routes!(sessions::start))
+        .viewer(routes!(sessions::session))
+        .operator(routes!(sessions::edit))
+        .operator(routes!(sessions::stop))
+        .viewer(routes!(download::recording))
+        .viewer(routes!(tracks::track))
+        .viewer(routes!(tracks::events))
+        .viewer(routes!(tracks::history))
+        .viewer(routes!(export::export))
+        .viewer(routes!(foxglove::foxglove))
+        .viewer(routes!(aemp::fleet))
+        .open(routes!(people::sign_in))
+        .viewer(routes!(people::sign_out))
+        .viewer(routes!(people::me))
+        .viewer(routes!(people::password))
+        .viewer(routes!(people::ticket))
+        .viewer(routes!(tokens::list, tokens::add))
+        .viewer(routes!(tokens::revoke))
+        .admin(routes!(users::list, users::add))
+        .admin(routes!(users::edit, users::remove))
+        .admin(routes!(audit::list))
+        .open(routes!(ready::healthz))
+        .open(routes!(ready::readyz))
+        .viewer(routes!(metrics::metrics))
+        .viewer(routes!(docs::openapi))
+        .page("/api/docs", get(docs::begin))
+        .page("/api/docs/", get(docs::index))
+        .page("/api/docs/{file}", get(docs::asset))
+}
+
+/// Everything between the socket and the handlers.
 fn router(shared: Shared) -> Router {
-    let documented = OpenApiRouter::with_openapi(Documentation::openapi())
-        .routes(routes!(api::fleet))
-        .routes(routes!(api::machines))
-        .routes(routes!(api::machine))
-        .routes(routes!(alerts::list))
-        .routes(routes!(alerts::acknowledge))
-        .routes(routes!(alerts::test))
-        .routes(routes!(outages::list))
-        .routes(routes!(outages::statistics))
-        .routes(routes!(outages::outage))
-        .routes(routes!(outages::shadow_map))
-        .routes(routes!(sessions::list, sessions::start))
-        .routes(routes!(sessions::session, sessions::edit))
-        .routes(routes!(sessions::stop))
-        .routes(routes!(download::recording))
-        .routes(routes!(tracks::track))
-        .routes(routes!(tracks::events))
-        .routes(routes!(tracks::history))
-        .routes(routes!(export::export))
-        .routes(routes!(live::live))
-        .routes(routes!(ready::healthz))
-        .routes(routes!(ready::readyz))
-        .routes(routes!(metrics::metrics));
-    let (router, documentation) = documented.split_for_parts();
-    // Built from constants above; as JSON it always has a form.
-    let openapi: Arc<str> = documentation.to_json().unwrap_or_default().into();
-    let serve_openapi = move || {
-        let openapi = Arc::clone(&openapi);
-        async move { ([(CONTENT_TYPE, "application/json")], openapi.to_string()) }
-    };
+    let (router, needs, document) = routes().finish();
+    dress(router, needs, &document, shared)
+}
+
+fn dress(
+    router: Router<Shared>,
+    needs: Needs,
+    document: &utoipa::openapi::OpenApi,
+    shared: Shared,
+) -> Router {
+    // Built from constants; as JSON it always has a form.
+    let document = docs::Document(document.to_json().unwrap_or_default().into());
+    let gate = guard::Gate { people: Arc::clone(&shared.people), needs: Arc::new(needs) };
     router
-        .route("/api/openapi.json", get(serve_openapi))
         .fallback(assets::serve)
-        .method_not_allowed_fallback(problem::method_not_allowed)
-        .layer(middleware::from_fn(guard::guard))
+        .layer(DefaultBodyLimit::max(input::BODY_BYTES_MAX))
+        .layer(Extension(document))
+        .layer(middleware::from_fn_with_state(gate, guard::guard))
         .with_state(shared)
 }
 
 /// Serves until `stopped` says so, then ends what is idle and waits for what is under way.
 pub(super) async fn serve(listener: TcpListener, shared: Shared, mut stopped: watch::Receiver<bool>) {
-    let app = router(shared);
+    let app = router(shared).into_make_service_with_connect_info::<SocketAddr>();
     let listener = listener.tap_io(|stream| {
         if let Err(error) = stream.set_nodelay(true) {
             tracing::debug!("a connection waits to fill its packets: {error}");

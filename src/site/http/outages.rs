@@ -11,7 +11,7 @@ use axum::response::IntoResponse;
 use serde::{Deserialize, Serialize};
 
 use super::Shared;
-use super::api::malformed;
+use super::input::malformed;
 use super::problem::Problem;
 use super::query::{bad, limit, time, understood};
 use crate::fleet::{CELL_M, FixState, OutageDetail, OutageView, ShadowMap, Statistics};
@@ -143,7 +143,7 @@ pub(super) async fn list(
 
 /// One outage, with its sigma over time and the machine's track.
 #[utoipa::path(get, path = "/api/v1/outages/{id}", tag = "outages",
-    params(("id" = String, Path, description = "The outage's id")),
+    params(("id" = String, Path, description = "The outage's id", min_length = 1, max_length = 64)),
     responses((status = OK, body = OutageDetail),
         (status = BAD_REQUEST, body = Problem, content_type = "application/problem+json"),
         (status = NOT_FOUND, body = Problem, content_type = "application/problem+json"),

@@ -6,15 +6,15 @@ use axum::Json;
 use axum::body::Bytes;
 use axum::extract::rejection::{BytesRejection, PathRejection};
 use axum::extract::{Path, State};
-use axum::http::header::{CONTENT_TYPE, LOCATION};
+use axum::http::header::LOCATION;
 use axum::http::{HeaderMap, HeaderValue, StatusCode};
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
-use serde::de::DeserializeOwned;
 use tokio::sync::oneshot;
 
 use super::Shared;
-use super::api::malformed;
+use super::audit::Page;
+use super::input::{Parameters, json, json_needed, malformed, tagged_json};
 use super::problem::Problem;
 use crate::record::says_full;
 use crate::site::sessions::{
@@ -29,32 +29,55 @@ pub(super) struct SessionsView {
     recording: RecordingView,
     /// Newest first.
     sessions: Vec<SessionView>,
+    /// The cursor of those before; `null` if there are none.
+    next: Option<String>,
 }
 
-/// All recordings, and whether what arrives is recorded.
-#[utoipa::path(get, path = "/api/v1/sessions", tag = "sessions",
-    responses((status = OK, body = SessionsView)))]
-pub(super) async fn list(State(shared): State<Shared>) -> Result<Json<SessionsView>, Problem> {
+/// Recordings, and whether what arrives is recorded.
+#[utoipa::path(get, path = "/api/v1/sessions", operation_id = "list_sessions", tag = "sessions",
+    params(("limit" = Option<u32>, Query, description = "So many at most: 100 if it is left out", minimum = 1,
+            maximum = 1000),
+        ("cursor" = Option<String>, Query, description = "`next` of the answer before", min_length = 1,
+            max_length = 64),
+        ("If-None-Match" = Option<String>, Header, description = "Tags that the client has")),
+    responses((status = OK, body = SessionsView, headers(("ETag" = String, description = "Of this answer"))),
+        (status = NOT_MODIFIED, description = "The client has it")))]
+pub(super) async fn list(
+    State(shared): State<Shared>,
+    Parameters(page): Parameters<Page>,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
+    let limit = page.limit()?;
     let recording = RecordingView::of(shared.progress().as_ref());
-    let sessions = ask(&shared, |catalogue, progress| catalogue.list(progress)).await?;
-    Ok(Json(SessionsView { recording, sessions }))
+    let mut sessions = ask(&shared, |catalogue, progress| catalogue.list(progress)).await?;
+    // Their ids are in the order of their starts, so that a cursor stays right when sessions come and go.
+    if let Some(cursor) = page.cursor()? {
+        sessions.retain(|session| session.id.as_str() < cursor);
+    }
+    let more = sessions.len() > limit;
+    sessions.truncate(limit);
+    let next = sessions.last().filter(|_| more).map(|session| session.id.clone());
+    tagged_json(&headers, &SessionsView { recording, sessions, next })
 }
 
 /// One session and its files.
 #[utoipa::path(get, path = "/api/v1/sessions/{id}", tag = "sessions",
-    params(("id" = String, Path, description = "The session's id")),
-    responses((status = OK, body = SessionDetail),
+    params(("id" = String, Path, description = "The session's id", min_length = 1, max_length = 64),
+        ("If-None-Match" = Option<String>, Header, description = "Tags that the client has")),
+    responses((status = OK, body = SessionDetail, headers(("ETag" = String, description = "Of this answer"))),
+        (status = NOT_MODIFIED, description = "The client has it"),
         (status = NOT_FOUND, body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn session(
     State(shared): State<Shared>,
     id: Result<Path<String>, PathRejection>,
-) -> Result<Json<SessionDetail>, Problem> {
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
     let Path(id) = id.map_err(malformed)?;
-    detail(&shared, id).await.map(Json)
+    tagged_json(&headers, &detail(&shared, id).await?)
 }
 
 /// Starts a session; the one that runs ends, and no message is lost in between.
-#[utoipa::path(post, path = "/api/v1/sessions", tag = "sessions",
+#[utoipa::path(post, path = "/api/v1/sessions", operation_id = "start_session", tag = "sessions",
     request_body(content = Option<NotesChange>, description = "What it is called; may be left out"),
     responses(
         (status = CREATED, body = SessionView, headers(("Location" = String, description = "The session"))),
@@ -68,7 +91,7 @@ pub(super) async fn start(
     headers: HeaderMap,
     body: Result<Bytes, BytesRejection>,
 ) -> Result<Response, Problem> {
-    let change: NotesChange = read(&headers, body)?.unwrap_or_default();
+    let change: NotesChange = json(&headers, body)?.unwrap_or_default();
     let mut notes = Notes::default();
     change.apply(&mut notes).map_err(|wrong| Problem::new(StatusCode::BAD_REQUEST, wrong))?;
     let id = command(&shared, |answer| Command::Start { notes, answer }).await?;
@@ -81,8 +104,8 @@ pub(super) async fn start(
 }
 
 /// Ends the session that runs. Nothing is recorded until another one is started, or begins by itself.
-#[utoipa::path(post, path = "/api/v1/sessions/{id}/stop", tag = "sessions",
-    params(("id" = String, Path, description = "The session's id")),
+#[utoipa::path(post, path = "/api/v1/sessions/{id}/stop", operation_id = "stop_session", tag = "sessions",
+    params(("id" = String, Path, description = "The session's id", min_length = 1, max_length = 64)),
     responses((status = OK, body = SessionView),
         (status = NOT_FOUND, body = Problem, content_type = "application/problem+json"),
         (status = CONFLICT, body = Problem, content_type = "application/problem+json"),
@@ -99,8 +122,8 @@ pub(super) async fn stop(
 }
 
 /// Writes name, notes or tags of a session; what is left out stays as it is.
-#[utoipa::path(patch, path = "/api/v1/sessions/{id}", tag = "sessions",
-    params(("id" = String, Path, description = "The session's id")),
+#[utoipa::path(patch, path = "/api/v1/sessions/{id}", operation_id = "edit_session", tag = "sessions",
+    params(("id" = String, Path, description = "The session's id", min_length = 1, max_length = 64)),
     request_body = NotesChange,
     responses((status = OK, body = SessionView),
         (status = BAD_REQUEST, body = Problem, content_type = "application/problem+json"),
@@ -115,8 +138,7 @@ pub(super) async fn edit(
     body: Result<Bytes, BytesRejection>,
 ) -> Result<Json<SessionView>, Problem> {
     let Path(id) = id.map_err(malformed)?;
-    let empty = || Problem::new(StatusCode::BAD_REQUEST, "the body is empty, must be a JSON object");
-    let change: NotesChange = read(&headers, body)?.ok_or_else(empty)?;
+    let change: NotesChange = json_needed(&headers, body)?;
     let wanted = id.clone();
     match ask(&shared, move |catalogue, _| catalogue.edit(&wanted, change)).await? {
         Ok(Some(Ok(()))) => Ok(Json(detail(&shared, id).await?.session)),
@@ -175,23 +197,4 @@ async fn command(
         Refusal::NoRoom(why) => Problem::new(StatusCode::INSUFFICIENT_STORAGE, why),
         Refusal::Failed(why) => Problem::new(StatusCode::SERVICE_UNAVAILABLE, why),
     })
-}
-
-/// A body in JSON; `None` if there is none.
-pub(super) fn read<T: DeserializeOwned>(
-    headers: &HeaderMap,
-    body: Result<Bytes, BytesRejection>,
-) -> Result<Option<T>, Problem> {
-    let body = body.map_err(|rejection| Problem::new(rejection.status(), rejection.body_text()))?;
-    if body.is_empty() {
-        return Ok(None);
-    }
-    let kind = headers.get(CONTENT_TYPE).and_then(|value| value.to_str().ok()).unwrap_or("");
-    if !kind.split(';').next().is_some_and(|kind| kind.trim().eq_ignore_ascii_case("application/json")) {
-        let detail = "the body must be application/json";
-        return Err(Problem::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, detail));
-    }
-    let wrong =
-        |error: serde_json::Error| Problem::new(StatusCode::BAD_REQUEST, format!("the body: {error}"));
-    serde_json::from_slice(&body).map(Some).map_err(wrong)
 }

@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 use tokio::sync::watch;
 
 use super::Shared;
-use super::api::malformed;
+use super::input::malformed;
 use super::problem::Problem;
 use super::query::{bad, time, understood};
 use super::sessions::ask;

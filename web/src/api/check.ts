@@ -227,6 +227,7 @@ export const sessionView = object<SessionView>({
 export const checkSessions = object<SessionsView>({
   recording: recordingView,
   sessions: list(sessionView),
+  next: nullable(text),
 });
 
 const statePoint = object<StatePoint>({

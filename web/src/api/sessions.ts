@@ -5,7 +5,7 @@ import { ask, askFor, LONG_PATIENCE_MS, withQuery } from "./http";
 import type { EventsAnswer, SessionsView, SessionView, TrackAnswer } from "./types";
 
 export function fetchSessions(): Promise<SessionsView> {
-  return askFor("/api/v1/sessions", checkSessions);
+  return askFor("/api/v1/sessions?limit=1000", checkSessions);
 }
 
 export function recordingUrl(id: string): string {

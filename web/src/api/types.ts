@@ -256,6 +256,7 @@ export interface SessionView {
 export interface SessionsView {
   recording: RecordingView;
   sessions: SessionView[];
+  next: string | null;
 }
 
 export interface SensorRate {

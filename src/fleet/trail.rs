@@ -1,0 +1,82 @@
+//! Where machines were: a thin trail of the last hour, for those who come late.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use serde::Serialize;
+
+use super::MACHINES_MAX;
+use super::view::{FleetView, Presence, UtcTime};
+use crate::state::Mode;
+use crate::time::{Span, Stamp};
+
+/// From one point to the next, at least.
+const EVERY: Span = Span::from_millis(1_000);
+/// The most points of one machine: the oldest go.
+pub const TRAIL_POINTS_MAX: usize = 3600;
+
+/// Where a machine was at one time.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[cfg_attr(feature = "shells", derive(utoipa::ToSchema))]
+pub struct TrailPoint {
+    /// When it arrived, by the site's clock.
+    #[cfg_attr(feature = "shells", schema(value_type = String, format = DateTime))]
+    pub time: UtcTime,
+    /// By the machine's stamps.
+    #[cfg_attr(feature = "shells", schema(value_type = String, format = DateTime))]
+    pub stamp: UtcTime,
+    /// Of the cabin IMU in the site frame: east, north, up, m.
+    pub position_m: [f64; 3],
+    /// Of the cabin IMU, degrees.
+    pub latitude_deg: f64,
+    /// Of the cabin IMU, degrees.
+    pub longitude_deg: f64,
+    /// Of the cabin's x axis: 0 is the site's north, clockwise, [0, 360).
+    pub heading_deg: f64,
+    /// The longer half axis of the ellipse in which it is with 95 % probability, m.
+    pub semi_major_m: f64,
+    /// Mode of the estimator; `null` if it is not known.
+    pub mode: Option<Mode>,
+}
+
+/// The trails of all machines.
+#[derive(Debug, Default)]
+pub struct Trails(BTreeMap<String, VecDeque<TrailPoint>>);
+
+impl Trails {
+    /// Adds the machines that are online and have a new pose.
+    pub fn observe(&mut self, view: &FleetView) {
+        for machine in view.machines.iter().filter(|machine| machine.presence == Presence::Online) {
+            let Some(pose) = &machine.pose else { continue };
+            let time = view.time.0 - Span::from_seconds(pose.age_s);
+            let trail = self.0.get(&machine.id);
+            let last = trail.and_then(VecDeque::back);
+            let is_due = last.is_none_or(|last| time - last.time.0 >= EVERY && last.stamp != pose.stamp);
+            if !is_due || (trail.is_none() && self.0.len() >= MACHINES_MAX) {
+                continue;
+            }
+            let trail = self.0.entry(machine.id.clone()).or_default();
+            if trail.len() >= TRAIL_POINTS_MAX {
+                trail.pop_front();
+            }
+            trail.push_back(TrailPoint {
+                time: UtcTime(time),
+                stamp: pose.stamp,
+                position_m: pose.position_m,
+                latitude_deg: pose.latitude_deg,
+                longitude_deg: pose.longitude_deg,
+                heading_deg: pose.heading_deg,
+                semi_major_m: pose.ellipse95.semi_major_m,
+                mode: machine.health.as_ref().map(|health| health.report.mode),
+            });
+        }
+    }
+
+    /// Points of a machine that arrived after `since`, `limit` at most, oldest first; and whether there are more.
+    pub fn points(&self, machine: &str, since: Option<Stamp>, limit: usize) -> (Vec<TrailPoint>, bool) {
+        let Some(trail) = self.0.get(machine) else { return (Vec::new(), false) };
+        let first = since.map_or(0, |since| trail.partition_point(|point| point.time.0 <= since));
+        let points: Vec<TrailPoint> = trail.range(first..).take(limit).copied().collect();
+        let more = first + points.len() < trail.len();
+        (points, more)
+    }
+}
