@@ -78,11 +78,11 @@ describe("the list of recordings", () => {
       sessions: [session],
       next: null,
     });
-    expect(() => checkSessions({ recording, sessions: [{ ...session, state: "lost" }], next: null }, "sessions")).toThrow(
-      "sessions.sessions[0].state",
-    );
-    expect(() => checkSessions({ recording: { ...recording, why: 1 }, sessions: [], next: null }, "sessions")).toThrow(
-      "sessions.recording.why",
-    );
+    expect(() =>
+      checkSessions({ recording, sessions: [{ ...session, state: "lost" }], next: null }, "sessions"),
+    ).toThrow("sessions.sessions[0].state");
+    expect(() =>
+      checkSessions({ recording: { ...recording, why: 1 }, sessions: [], next: null }, "sessions"),
+    ).toThrow("sessions.recording.why");
   });
 });

@@ -3,6 +3,7 @@
  * not compile. The generated ones write three numbers as a list, and what may be `null` as optional.
  */
 
+import type { Me, NewToken, Token, User } from "./accounts";
 import type { AlertsView } from "./alerts";
 import type { components } from "./generated";
 import type { OutageDetail, OutagesView, Statistics } from "./outages";
@@ -31,6 +32,10 @@ export type Agreement = [
   Holds<Same<OutageDetail, Schemas["OutageDetail"]>>,
   Holds<Same<Statistics, Schemas["Statistics"]>>,
   Holds<Same<AlertsView, Schemas["AlertsView"]>>,
+  Holds<Same<Me, Schemas["MeView"]>>,
+  Holds<Same<User, Schemas["UserView"]>>,
+  Holds<Same<Token, Schemas["TokenView"]>>,
+  Holds<Same<NewToken, Schemas["NewTokenView"]>>,
 ];
 
 type Holds<T extends true> = T;

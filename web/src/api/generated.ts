@@ -4,6 +4,23 @@
  */
 
 export interface paths {
+    "/api/openapi.json": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** This document. */
+        get: operations["openapi"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/alerts": {
         parameters: {
             query?: never;
@@ -55,6 +72,23 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/audit": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** Who changed what, when and from where. The newest 100 000 are kept. */
+        get: operations["list_changes"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/fleet": {
         parameters: {
             query?: never;
@@ -86,6 +120,23 @@ export interface paths {
         get: operations["live"];
         put?: never;
         post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/live-ticket": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /** A ticket with which a program that can send no headers opens one WebSocket: `/api/v1/live?ticket=`. */
+        post: operations["live_ticket"];
         delete?: never;
         options?: never;
         head?: never;
@@ -126,16 +177,53 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/machines/{id}/history": {
+    "/api/v1/machines/{id}/trajectory": {
         parameters: {
             query?: never;
             header?: never;
             path?: never;
             cookie?: never;
         };
-        /** What a machine said of itself in the last hour, once a second. */
-        get: operations["machine_history"];
+        /**
+         * Where a machine was in the last hour, as it was live: a point a second, while it is online. Whole sessions are
+         *     in their recordings.
+         */
+        get: operations["trajectory"];
         put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/me": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** Who asks, and what it may do. */
+        get: operations["me"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/me/password": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        /** Changes one's own password, and ends all sign-ins of the account. */
+        put: operations["change_password"];
         post?: never;
         delete?: never;
         options?: never;
@@ -194,6 +282,27 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/plan": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** The site plan as GeoJSON (RFC 7946) in WGS84; empty as long as nobody gave one. */
+        get: operations["plan"];
+        /**
+         * Gives the site another plan: a GeoJSON feature collection (RFC 7946) in WGS84, 4 MiB and 200 000 points at most.
+         *     With `If-Match`, only if the plan is still the one that was seen.
+         */
+        put: operations["put_plan"];
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/sessions": {
         parameters: {
             query?: never;
@@ -201,11 +310,11 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** All recordings, and whether what arrives is recorded. */
-        get: operations["list"];
+        /** Recordings, and whether what arrives is recorded. */
+        get: operations["list_sessions"];
         put?: never;
         /** Starts a session; the one that runs ends, and no message is lost in between. */
-        post: operations["start"];
+        post: operations["start_session"];
         delete?: never;
         options?: never;
         head?: never;
@@ -227,24 +336,7 @@ export interface paths {
         options?: never;
         head?: never;
         /** Writes name, notes or tags of a session; what is left out stays as it is. */
-        patch: operations["edit"];
-        trace?: never;
-    };
-    "/api/v1/sessions/{id}/events": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        /** What happened to the machines of a session: modes, graphs, outages, restarts, refused readings. */
-        get: operations["session_events"];
-        put?: never;
-        post?: never;
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
+        patch: operations["edit_session"];
         trace?: never;
     };
     "/api/v1/sessions/{id}/export": {
@@ -297,24 +389,7 @@ export interface paths {
         get?: never;
         put?: never;
         /** Ends the session that runs. Nothing is recorded until another one is started, or begins by itself. */
-        post: operations["stop"];
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/api/v1/sessions/{id}/track": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        /** Where the machines of a session were and how they did, thinned to 24 000 poses at most: for replay. */
-        get: operations["session_track"];
-        put?: never;
-        post?: never;
+        post: operations["stop_session"];
         delete?: never;
         options?: never;
         head?: never;
@@ -336,6 +411,111 @@ export interface paths {
         options?: never;
         head?: never;
         patch?: never;
+        trace?: never;
+    };
+    "/api/v1/sign-in": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /** Signs in: the cookie of the answer is for the browser. Ends the sign-in of a cookie that is sent along. */
+        post: operations["sign_in"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/sign-out": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /** Ends the sign-in of the cookie, if there is one. */
+        post: operations["sign_out"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/tokens": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** One's own tokens; for admins those of all. */
+        get: operations["list_tokens"];
+        put?: never;
+        /** Makes a token. Its secret is in this answer only. */
+        post: operations["add_token"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/tokens/{id}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        post?: never;
+        /** Revokes a token: one's own, or as admin anybody's. */
+        delete: operations["revoke_token"];
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/users": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** All accounts. */
+        get: operations["list_users"];
+        put?: never;
+        /** Makes an account. */
+        post: operations["add_user"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/users/{name}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        post?: never;
+        /** Removes an account with its tokens and sign-ins. The only admin stays. */
+        delete: operations["remove_user"];
+        options?: never;
+        head?: never;
+        /** Changes role or password of an account. The only admin stays one. */
+        patch: operations["edit_user"];
         trace?: never;
     };
     "/healthz": {
@@ -508,6 +688,36 @@ export interface components {
              */
             outages: number;
         };
+        /** @description A change that somebody made, or a try to sign in. */
+        ChangeView: {
+            /** @description From which address. */
+            from: string;
+            /**
+             * Format: int64
+             * @description Counts them.
+             */
+            number: number;
+            /** @description What came of it: a status, or words. */
+            outcome: string;
+            /**
+             * Format: date-time
+             * @description When.
+             */
+            time: string;
+            /** @description How that is known: `sign_in`, `token`, `nobody`, `command_line`. */
+            via: string;
+            /** @description What was asked for. */
+            what: string;
+            /** @description Who; empty where nobody has an account. */
+            who: string;
+        };
+        /** @description Changes. */
+        ChangesView: {
+            /** @description Newest first. */
+            changes: components["schemas"]["ChangeView"][];
+            /** @description The cursor of those before; `null` if there are none. */
+            next?: string | null;
+        };
         /** @description What a receiver said to a test. */
         ChannelTest: {
             /** @description `webhook:{name}` or `mail`. */
@@ -576,88 +786,6 @@ export interface components {
          * @enum {string}
          */
         Ending: "recovered" | "link_back" | "restarted" | "unheard";
-        /** @description One event of a machine. */
-        Event: components["schemas"]["EventKind"] & {
-            /** @description How much it matters. */
-            severity: components["schemas"]["Severity"];
-            /**
-             * Format: int64
-             * @description When, by the machine's stamps, ns.
-             */
-            stamp_ns: number;
-        };
-        /** @description What happened. */
-        EventKind: {
-            /** @description Before. */
-            from: components["schemas"]["Mode"];
-            /** @enum {string} */
-            kind: "mode_changed";
-            /** @description After. */
-            to: components["schemas"]["Mode"];
-        } | {
-            /** @description Before. */
-            from: components["schemas"]["Graph"];
-            /** @enum {string} */
-            kind: "graph_changed";
-            /** @description Why. */
-            reason: string;
-            /** @description After. */
-            to: components["schemas"]["Graph"];
-        } | {
-            /** @description Before. */
-            from: components["schemas"]["GnssState"];
-            /** @enum {string} */
-            kind: "gnss_changed";
-            /** @description After. */
-            to: components["schemas"]["GnssState"];
-        } | {
-            /** @description How the heading was found. */
-            heading_from: string;
-            /**
-             * Format: double
-             * @description Standard deviation of the heading, degrees.
-             */
-            heading_sigma_deg: number;
-            /** @enum {string} */
-            kind: "initialized";
-        } | {
-            /**
-             * Format: int64
-             * @description How many since the last such event of this sensor.
-             */
-            count: number;
-            /** @enum {string} */
-            kind: "refused";
-            /** @description Why, with its numbers. */
-            reason: string;
-            /** @description Whose reading. */
-            sensor: components["schemas"]["Sensor"];
-        } | {
-            /** @description What was wrong. */
-            cause: components["schemas"]["GnssState"];
-            /** @enum {string} */
-            kind: "outage_began";
-        } | (components["schemas"]["OutageReport"] & {
-            /** @enum {string} */
-            kind: "outage_ended";
-        }) | {
-            /** @enum {string} */
-            kind: "restarted";
-            /** @description Why. */
-            reason: string;
-        };
-        /** @description What happened in a session. */
-        EventsAnswer: {
-            /** @description In order of time, 5000 at most. */
-            events: components["schemas"]["SessionEvent"][];
-            /**
-             * Format: int64
-             * @description Events that were left out, refused readings first.
-             */
-            left_out: number;
-            /** @description The session's id. */
-            session: string;
-        };
         /** @description One of the files of a session. */
         FileView: {
             /**
@@ -727,11 +855,6 @@ export interface components {
             /** @description State of the fixes. */
             state: components["schemas"]["FixState"];
         };
-        /**
-         * @description Which of the two graphs answers.
-         * @enum {string}
-         */
-        Graph: "main" | "fallback" | "trial";
         /** @description State of a machine's estimator. */
         Health: {
             /** @description Accelerometer bias, m/s², in the IMU frame. */
@@ -793,33 +916,11 @@ export interface components {
             age_s: number;
             /**
              * Format: double
-             * @description From the newest estimate to the report, by the machine's clock, s; `null` before the start.
+             * @description How old its newest estimate was when it said this, by its own clock, s; `null` before the start.
              */
             estimate_age_s?: number | null;
-            /**
-             * Format: double
-             * @description From an IMU sample to its estimate, 99 % of them over the last second, µs; `null` if it does not tell.
-             */
-            prediction_p99_us?: number | null;
             /** @description As the machine sent it. */
             report: components["schemas"]["Health"];
-        };
-        /** @description What a machine said of itself. */
-        HistoryView: {
-            /**
-             * Format: date-time
-             * @description When the last of them arrived: `since` for those that follow.
-             */
-            last?: string | null;
-            /** @description The machine's id. */
-            machine: string;
-            /**
-             * Format: date-time
-             * @description Times count from here, by the site's clock; `null` if there is nothing.
-             */
-            start?: string | null;
-            /** @description Oldest first, one a second. */
-            states: components["schemas"]["StatePoint"][];
         };
         /** @description How good the link to a machine is. */
         LinkView: {
@@ -916,31 +1017,6 @@ export interface components {
             /** @description Over the whole span. */
             total: components["schemas"]["Tally"];
         };
-        /** @description One machine in a session. */
-        MachineTrack: {
-            /**
-             * Format: double
-             * @description What was added to its times, since its clock was not the site's, s.
-             */
-            clock_shift_s: number;
-            /** @description Its id. */
-            id: string;
-            /** @description For people. */
-            name: string;
-            /** @description Thinned. */
-            poses: components["schemas"]["PoseColumns"];
-            /**
-             * Format: int64
-             * @description Poses that were sent, but are not in the recording.
-             */
-            poses_missing: number;
-            /** @description Two seconds and more without a pose. */
-            silences: components["schemas"]["SilenceView"][];
-            /** @description Version of its software, as it told last; empty if it did not. */
-            software: string;
-            /** @description What it said of itself: once a second or less often, and at each change of mode or fixes. */
-            states: components["schemas"]["StatePoint"][];
-        };
         /** @description One machine at one time. */
         MachineView: {
             /** @description 16 hex digits, drawn at each start of the machine's software; empty if not known yet. */
@@ -964,8 +1040,6 @@ export interface components {
             presence_since: string;
             /** @description How much it asks for attention. */
             severity: components["schemas"]["Severity"];
-            /** @description Version of its software; empty if not known yet. */
-            software: string;
             /** @description The state in a few words. */
             state_word: string;
         };
@@ -974,11 +1048,57 @@ export interface components {
             /** @description In the order of their ids. */
             machines: components["schemas"]["MachineView"][];
         };
+        /** @description Who asks, and what it may do. */
+        MeView: {
+            /** @description Whether there are accounts. Without any, whoever reaches the server may do everything. */
+            accounts: boolean;
+            /**
+             * Format: date-time
+             * @description Until when the token is good.
+             */
+            expires?: string | null;
+            /** @description The account; `null` where there are none. */
+            name?: string | null;
+            /** @description What it may do now. */
+            role: components["schemas"]["Role"];
+            /** @description The token that was shown, if one was. */
+            token?: string | null;
+        };
         /**
          * @description What the estimate rests on.
          * @enum {string}
          */
         Mode: "initializing" | "main" | "fallback" | "imu_only";
+        /** @description A token that is to be made. */
+        NewToken: {
+            /**
+             * Format: int32
+             * @description Good for so many days: 90 if it is left out. One that is made with a token ends with that at the latest.
+             */
+            days?: number | null;
+            /** @description What it is for. */
+            label: string;
+            role?: components["schemas"]["Role"] | null;
+            /** @description Whose it is to be: one's own if it is left out. For admins only. */
+            user?: string | null;
+        };
+        /** @description A new token with its secret, which is shown this once. */
+        NewTokenView: {
+            /** @description To be sent as `Authorization: Bearer`. */
+            secret: string;
+            token: components["schemas"]["TokenView"];
+        };
+        /** @description An account that is to be made. */
+        NewUser: {
+            /** @description Letters, digits, '.', '_', '@' and '-'; its case does not matter. */
+            name: string;
+            /**
+             * Format: password
+             * @description 10 to 200 characters, and not the name.
+             */
+            password: string;
+            role: components["schemas"]["Role"];
+        };
         /** @description What is to be written to a session; what is left out stays as it is. */
         NotesChange: {
             /**
@@ -1079,6 +1199,19 @@ export interface components {
             /** @description Newest first. */
             outages: components["schemas"]["OutageView"][];
         };
+        /** @description A password for the one before. */
+        PasswordChange: {
+            /**
+             * Format: password
+             * @description From now on: 10 to 200 characters, and not the name.
+             */
+            new: string;
+            /**
+             * Format: password
+             * @description The one before.
+             */
+            old: string;
+        };
         /** @description A place on the site. */
         PlaceView: {
             /**
@@ -1098,29 +1231,6 @@ export interface components {
             longitude_deg: number;
             /** @description In the site frame: east, north, up, m. */
             position_m: number[];
-        };
-        /** @description Poses of a machine, a list for each value, all of one length. */
-        PoseColumns: {
-            /** @description A point of the axis about which the cabin turns, m. */
-            cabin_position_m: number[][];
-            /** @description Of the chassis' x axis, where it is known. */
-            chassis_heading_deg: (number | null)[];
-            /** @description Origin of the chassis frame: east, north, up, m. */
-            chassis_position_m: (number[] | null)[];
-            /** @description 95 % ellipse: longer half axis, shorter half axis, m; bearing of the longer one, degrees. */
-            ellipse95: number[][];
-            /** @description Of the cabin's x axis, clockwise from north. */
-            heading_deg: number[];
-            /** @description One sigma. */
-            heading_sigma_deg: number[];
-            /** @description Of the cabin IMU in the site frame: east, north, up, m. */
-            position_m: number[][];
-            /** @description One sigma: east, north, up, m. */
-            position_sigma_m: number[][];
-            /** @description Of the cabin IMU, m/s. */
-            speed_mps: number[];
-            /** @description Since `start`, s. */
-            time_s: number[];
         };
         /** @description Where a machine is. */
         PoseView: {
@@ -1249,6 +1359,11 @@ export interface components {
             type: "subscribe";
         };
         /**
+         * @description What somebody may do: each role includes those before it.
+         * @enum {string}
+         */
+        Role: "viewer" | "operator" | "admin";
+        /**
          * @description What is watched.
          * @enum {string}
          */
@@ -1285,34 +1400,12 @@ export interface components {
             /** @description Which one. */
             sensor: components["schemas"]["Sensor"];
         };
-        /** @description How often a sensor spoke. */
-        SensorRate: {
-            /**
-             * Format: double
-             * @description Over the second before, Hz.
-             */
-            rate_hz: number;
-            /** @description Which one. */
-            sensor: components["schemas"]["Sensor"];
-        };
         /** @description A session and its files. */
         SessionDetail: {
             /** @description Its files, in order of their numbers. */
             files: components["schemas"]["FileView"][];
             /** @description The session. */
             session: components["schemas"]["SessionView"];
-        };
-        /** @description An event of a machine. */
-        SessionEvent: {
-            /** @description What. */
-            event: components["schemas"]["Event"];
-            /** @description Whose. */
-            machine: string;
-            /**
-             * Format: date-time
-             * @description By the machine's stamps.
-             */
-            time: string;
         };
         /**
          * @description How whole a session is.
@@ -1361,6 +1454,8 @@ export interface components {
         };
         /** @description All sessions. */
         SessionsView: {
+            /** @description The cursor of those before; `null` if there are none. */
+            next?: string | null;
             /** @description What the recorder does. */
             recording: components["schemas"]["RecordingView"];
             /** @description Newest first. */
@@ -1468,18 +1563,15 @@ export interface components {
              */
             travelled_m: number;
         };
-        /** @description A span without any pose. */
-        SilenceView: {
+        /** @description Who wants to sign in. */
+        SignIn: {
+            /** @description Of the account. */
+            name: string;
             /**
-             * Format: double
-             * @description Since `start`, s.
+             * Format: password
+             * @description Of the account.
              */
-            from_s: number;
-            /**
-             * Format: double
-             * @description Since `start`, s.
-             */
-            to_s: number;
+            password: string;
         };
         /** @description The site. */
         SiteView: {
@@ -1493,76 +1585,6 @@ export interface components {
             time_zone: string;
             /** @description Origin of the site frame. */
             world: components["schemas"]["WorldView"];
-        };
-        /** @description What is known of a machine at one time. */
-        StatePoint: {
-            /** @description Accelerometer bias, m/s², in the IMU frame. */
-            accel_bias: number[];
-            /**
-             * Format: double
-             * @description Live, the site's clock less the machine's; of a recording, from sending to receiving by both clocks, s.
-             */
-            clock_offset_s?: number | null;
-            /**
-             * Format: double
-             * @description From the newest estimate to the report, s.
-             */
-            estimate_age_s?: number | null;
-            /** @description State of the fixes. */
-            gnss: components["schemas"]["GnssState"];
-            /** @description Gyro bias, rad/s, in the IMU frame. */
-            gyro_bias: number[];
-            /**
-             * Format: double
-             * @description One sigma of the heading.
-             */
-            heading_sigma_deg?: number | null;
-            /** @description What the estimate rests on. */
-            mode: components["schemas"]["Mode"];
-            /**
-             * Format: double
-             * @description Live: poses that arrived in the second before.
-             */
-            pose_rate_hz?: number | null;
-            /**
-             * Format: double
-             * @description One sigma of the position along its worst horizontal direction, m; `null` before the start.
-             */
-            position_sigma_m?: number | null;
-            /**
-             * Format: double
-             * @description From an IMU sample to its estimate, 99 % of them, µs.
-             */
-            prediction_p99_us?: number | null;
-            /** @description The sensors that ever spoke. */
-            rates: components["schemas"]["SensorRate"][];
-            /** @description How much it asks for attention. */
-            severity: components["schemas"]["Severity"];
-            /**
-             * Format: double
-             * @description Of the cabin IMU, m/s; `null` if no pose was known.
-             */
-            speed_mps?: number | null;
-            /** @description The state in a few words. */
-            state_word: string;
-            /**
-             * Format: double
-             * @description Since the start of the answer that it is in, s.
-             */
-            time_s: number;
-            /**
-             * Format: double
-             * @description Mean time of a smoother update, µs.
-             */
-            update_us: number;
-            /** @description While initializing: what is missing. */
-            waits_for?: string | null;
-            /**
-             * Format: double
-             * @description Largest ratio of innovation to its gate over the second before; over 1 was refused.
-             */
-            worst_test_ratio: number;
-            worst_test_sensor?: components["schemas"]["Sensor"] | null;
         };
         /** @description Outages added up. */
         Statistics: {
@@ -1650,29 +1672,46 @@ export interface components {
             /** @description One for each channel of the site file; none if there are no channels. */
             channels: components["schemas"]["ChannelTest"][];
         };
-        /** @description What the machines of a session did. */
-        TrackAnswer: {
-            /** @description Whether nothing is added to the session any more. */
-            finished: boolean;
+        /** @description Opens one WebSocket. */
+        TicketView: {
             /**
              * Format: double
-             * @description From the first to the last, s.
+             * @description It is good for so long, s.
              */
-            length_s: number;
-            /** @description In the order of their ids. */
-            machines: components["schemas"]["MachineTrack"][];
-            /** @description The session's id. */
-            session: string;
+            good_s: number;
+            /** @description To be sent as the parameter `ticket`. */
+            ticket: string;
+        };
+        /** @description A token, without its secret. */
+        TokenView: {
             /**
              * Format: date-time
-             * @description Times count from here; `null` if there is nothing.
+             * @description When it was made.
              */
-            start?: string | null;
+            created: string;
             /**
-             * Format: double
-             * @description From one pose to the next, s: longer than was asked for where there would be too many.
+             * Format: date-time
+             * @description Until when it is good.
              */
-            step_s: number;
+            expires: string;
+            /** @description By which it is revoked. */
+            id: string;
+            /** @description What it is for. */
+            label: string;
+            /** @description What it may do, as long as its account may. */
+            role: components["schemas"]["Role"];
+            /**
+             * Format: date-time
+             * @description When it was last used, to a minute; `null` if never.
+             */
+            seen?: string | null;
+            /** @description Whose it is. */
+            user: string;
+        };
+        /** @description Tokens. */
+        TokensView: {
+            /** @description In the order of their accounts, then of age. */
+            tokens: components["schemas"]["TokenView"][];
         };
         /** @description Where the machine was at a time of an outage. */
         TrackView: components["schemas"]["PlaceView"] & {
@@ -1681,6 +1720,80 @@ export interface components {
              * @description Since the outage began, s.
              */
             time_s: number;
+        };
+        /** @description Where a machine was at one time. */
+        TrailPoint: {
+            /**
+             * Format: double
+             * @description Of the cabin's x axis: 0 is the site's north, clockwise, [0, 360).
+             */
+            heading_deg: number;
+            /**
+             * Format: double
+             * @description Of the cabin IMU, degrees.
+             */
+            latitude_deg: number;
+            /**
+             * Format: double
+             * @description Of the cabin IMU, degrees.
+             */
+            longitude_deg: number;
+            mode?: components["schemas"]["Mode"] | null;
+            /** @description Of the cabin IMU in the site frame: east, north, up, m. */
+            position_m: number[];
+            /**
+             * Format: double
+             * @description The longer half axis of the ellipse in which it is with 95 % probability, m.
+             */
+            semi_major_m: number;
+            /**
+             * Format: date-time
+             * @description By the machine's stamps.
+             */
+            stamp: string;
+            /**
+             * Format: date-time
+             * @description When it arrived, by the site's clock.
+             */
+            time: string;
+        };
+        /** @description Where a machine was. */
+        TrajectoryView: {
+            /** @description The machine's id. */
+            machine: string;
+            /**
+             * Format: date-time
+             * @description `since` for those that follow; `null` if there are none yet.
+             */
+            next?: string | null;
+            /** @description Oldest first, one a second at most. */
+            points: components["schemas"]["TrailPoint"][];
+        };
+        /** @description What is to be changed of an account; what is left out stays as it is. */
+        UserChange: {
+            /**
+             * Format: password
+             * @description 10 to 200 characters, and not the name. Ends all sign-ins of the account.
+             */
+            password?: string | null;
+            role?: components["schemas"]["Role"] | null;
+        };
+        /** @description An account. */
+        UserView: {
+            /**
+             * Format: date-time
+             * @description When it was made.
+             */
+            created: string;
+            /** @description By which it signs in. */
+            name: string;
+            /** @description What it may do. */
+            role: components["schemas"]["Role"];
+        };
+        /** @description All accounts. */
+        UsersView: {
+            /** @description In the order of their names. */
+            users: components["schemas"]["UserView"][];
         };
         /** @description Origin of the site frame (ENU), WGS84. */
         WorldView: {
@@ -1701,7 +1814,91 @@ export interface components {
             longitude_deg: number;
         };
     };
-    responses: never;
+    responses: {
+        /** @description A fault of the server */
+        Failed: {
+            headers: {
+                [name: string]: unknown;
+            };
+            content: {
+                "application/problem+json": components["schemas"]["Problem"];
+            };
+        };
+        /** @description The role does not reach, or the request comes from another origin */
+        Forbidden: {
+            headers: {
+                [name: string]: unknown;
+            };
+            content: {
+                "application/problem+json": components["schemas"]["Problem"];
+            };
+        };
+        /** @description The request is not as it should be */
+        Malformed: {
+            headers: {
+                [name: string]: unknown;
+            };
+            content: {
+                "application/problem+json": components["schemas"]["Problem"];
+            };
+        };
+        /** @description The server does not answer to this host name */
+        Misdirected: {
+            headers: {
+                [name: string]: unknown;
+            };
+            content: {
+                "application/problem+json": components["schemas"]["Problem"];
+            };
+        };
+        /** @description The body is too large */
+        TooLarge: {
+            headers: {
+                [name: string]: unknown;
+            };
+            content: {
+                "application/problem+json": components["schemas"]["Problem"];
+            };
+        };
+        /** @description Too many requests */
+        TooMany: {
+            headers: {
+                "Retry-After"?: string;
+                [name: string]: unknown;
+            };
+            content: {
+                "application/problem+json": components["schemas"]["Problem"];
+            };
+        };
+        /** @description The server cannot do it now */
+        Unavailable: {
+            headers: {
+                [name: string]: unknown;
+            };
+            content: {
+                "application/problem+json": components["schemas"]["Problem"];
+            };
+        };
+        /** @description Nobody who is known: sign in, or show a token */
+        Unknown: {
+            headers: {
+                "WWW-Authenticate"?: string;
+                [name: string]: unknown;
+            };
+            content: {
+                "application/problem+json": components["schemas"]["Problem"];
+            };
+        };
+        /** @description The body has another media type */
+        WrongType: {
+            headers: {
+                [name: string]: unknown;
+            };
+            content: {
+                "application/problem+json": components["schemas"]["Problem"];
+            };
+        };
+    };
     parameters: never;
     requestBodies: never;
     headers: never;
@@ -1709,6 +1906,44 @@ export interface components {
 }
 export type $defs = Record<string, never>;
 export interface operations {
+    openapi: {
+        parameters: {
+            query?: never;
+            header?: {
+                /** @description Tags that the client has */
+                "If-None-Match"?: string;
+            };
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description OpenAPI 3.1 */
+            200: {
+                headers: {
+                    /** @description Changes with the document */
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": unknown;
+                };
+            };
+            /** @description The client has it */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
+        };
+    };
     alerts: {
         parameters: {
             query?: {
@@ -1749,6 +1984,9 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            401: components["responses"]["Unknown"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
             500: {
                 headers: {
                     [name: string]: unknown;
@@ -1757,6 +1995,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            503: components["responses"]["Unavailable"];
         };
     };
     test_alerts: {
@@ -1776,6 +2015,13 @@ export interface operations {
                     "application/json": components["schemas"]["TestView"];
                 };
             };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            403: components["responses"]["Forbidden"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
         };
     };
     acknowledge_alert: {
@@ -1811,6 +2057,8 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            401: components["responses"]["Unknown"];
+            403: components["responses"]["Forbidden"];
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -1827,6 +2075,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            413: components["responses"]["TooLarge"];
             415: {
                 headers: {
                     [name: string]: unknown;
@@ -1835,6 +2084,9 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
             503: {
                 headers: {
                     [name: string]: unknown;
@@ -1843,6 +2095,37 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+        };
+    };
+    list_changes: {
+        parameters: {
+            query?: {
+                /** @description So many at most: 100 if it is left out */
+                limit?: number;
+                /** @description `next` of the answer before */
+                cursor?: string;
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ChangesView"];
+                };
+            };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            403: components["responses"]["Forbidden"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
         };
     };
     fleet: {
@@ -1862,11 +2145,20 @@ export interface operations {
                     "application/json": components["schemas"]["FleetView"];
                 };
             };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
         };
     };
     live: {
         parameters: {
-            query?: never;
+            query?: {
+                /** @description From `POST /api/v1/live-ticket`, for those who can send neither cookie nor token */
+                ticket?: string;
+            };
             header?: never;
             path?: never;
             cookie?: never;
@@ -1890,6 +2182,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            401: components["responses"]["Unknown"];
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -1898,6 +2191,51 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            421: components["responses"]["Misdirected"];
+            426: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    live_ticket: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["TicketView"];
+                };
+            };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            403: components["responses"]["Forbidden"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
         };
     };
     machines: {
@@ -1917,6 +2255,12 @@ export interface operations {
                     "application/json": components["schemas"]["MachinesView"];
                 };
             };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
         };
     };
     machine: {
@@ -1939,6 +2283,8 @@ export interface operations {
                     "application/json": components["schemas"]["MachineView"];
                 };
             };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -1947,13 +2293,19 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
         };
     };
-    machine_history: {
+    trajectory: {
         parameters: {
             query?: {
-                /** @description Only what arrived after that, RFC 3339. */
+                /** @description Only points that arrived after that, RFC 3339 */
                 since?: string;
+                /** @description So many at most: 3600 if it is left out */
+                limit?: number;
             };
             header?: never;
             path: {
@@ -1969,17 +2321,11 @@ export interface operations {
                     [name: string]: unknown;
                 };
                 content: {
-                    "application/json": components["schemas"]["HistoryView"];
+                    "application/json": components["schemas"]["TrajectoryView"];
                 };
             };
-            400: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["Problem"];
-                };
-            };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -1988,6 +2334,83 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
+        };
+    };
+    me: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["MeView"];
+                };
+            };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
+        };
+    };
+    change_password: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["PasswordChange"];
+            };
+        };
+        responses: {
+            /** @description Changed; sign in anew */
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            /** @description The old password is wrong */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description There are no accounts */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            413: components["responses"]["TooLarge"];
+            415: components["responses"]["WrongType"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
         };
     };
     outages: {
@@ -2032,6 +2455,9 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            401: components["responses"]["Unknown"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
             500: {
                 headers: {
                     [name: string]: unknown;
@@ -2040,6 +2466,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            503: components["responses"]["Unavailable"];
         };
     };
     outage_statistics: {
@@ -2072,6 +2499,9 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            401: components["responses"]["Unknown"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
             500: {
                 headers: {
                     [name: string]: unknown;
@@ -2080,6 +2510,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            503: components["responses"]["Unavailable"];
         };
     };
     outage: {
@@ -2110,6 +2541,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            401: components["responses"]["Unknown"];
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -2118,7 +2550,101 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
             500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            503: components["responses"]["Unavailable"];
+        };
+    };
+    plan: {
+        parameters: {
+            query?: never;
+            header?: {
+                /** @description Tags that the client has */
+                "If-None-Match"?: string;
+            };
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    /** @description Changes with the plan */
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/geo+json": Record<string, never>;
+                };
+            };
+            /** @description The client has it */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
+        };
+    };
+    put_plan: {
+        parameters: {
+            query?: never;
+            header?: {
+                /** @description Tag of the plan that was seen */
+                "If-Match"?: string;
+            };
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/geo+json": Record<string, never>;
+                "application/json": Record<string, never>;
+            };
+        };
+        responses: {
+            /** @description It is the plan now */
+            204: {
+                headers: {
+                    /** @description Of the new plan */
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            403: components["responses"]["Forbidden"];
+            /** @description It was changed since */
+            412: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            413: components["responses"]["TooLarge"];
+            415: components["responses"]["WrongType"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
+            507: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -2128,10 +2654,18 @@ export interface operations {
             };
         };
     };
-    list: {
+    list_sessions: {
         parameters: {
-            query?: never;
-            header?: never;
+            query?: {
+                /** @description So many at most: 100 if it is left out */
+                limit?: number;
+                /** @description `next` of the answer before */
+                cursor?: string;
+            };
+            header?: {
+                /** @description Tags that the client has */
+                "If-None-Match"?: string;
+            };
             path?: never;
             cookie?: never;
         };
@@ -2139,15 +2673,30 @@ export interface operations {
         responses: {
             200: {
                 headers: {
+                    /** @description Of this answer */
+                    ETag?: string;
                     [name: string]: unknown;
                 };
                 content: {
                     "application/json": components["schemas"]["SessionsView"];
                 };
             };
+            /** @description The client has it */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
         };
     };
-    start: {
+    start_session: {
         parameters: {
             query?: never;
             header?: never;
@@ -2179,6 +2728,8 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            401: components["responses"]["Unknown"];
+            403: components["responses"]["Forbidden"];
             409: {
                 headers: {
                     [name: string]: unknown;
@@ -2187,6 +2738,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            413: components["responses"]["TooLarge"];
             415: {
                 headers: {
                     [name: string]: unknown;
@@ -2195,6 +2747,9 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
             503: {
                 headers: {
                     [name: string]: unknown;
@@ -2216,7 +2771,10 @@ export interface operations {
     session: {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                /** @description Tags that the client has */
+                "If-None-Match"?: string;
+            };
             path: {
                 /** @description The session's id */
                 id: string;
@@ -2227,12 +2785,23 @@ export interface operations {
         responses: {
             200: {
                 headers: {
+                    /** @description Of this answer */
+                    ETag?: string;
                     [name: string]: unknown;
                 };
                 content: {
                     "application/json": components["schemas"]["SessionDetail"];
                 };
             };
+            /** @description The client has it */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -2241,9 +2810,13 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
         };
     };
-    edit: {
+    edit_session: {
         parameters: {
             query?: never;
             header?: never;
@@ -2275,6 +2848,8 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            401: components["responses"]["Unknown"];
+            403: components["responses"]["Forbidden"];
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -2283,6 +2858,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            413: components["responses"]["TooLarge"];
             415: {
                 headers: {
                     [name: string]: unknown;
@@ -2291,6 +2867,9 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
             503: {
                 headers: {
                     [name: string]: unknown;
@@ -2300,71 +2879,6 @@ export interface operations {
                 };
             };
             507: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["Problem"];
-                };
-            };
-        };
-    };
-    session_events: {
-        parameters: {
-            query?: {
-                /** @description Only this machine. */
-                machine?: string;
-                /** @description From here on, by the machines' clocks, RFC 3339. */
-                from?: string;
-                /** @description Before this, by the machines' clocks, RFC 3339. */
-                to?: string;
-                /** @description From one pose to the next, s; 0.2 if it is left out. Doubled until there are not too many poses. */
-                step_s?: number;
-            };
-            header?: {
-                /** @description Tags that the client has */
-                "If-None-Match"?: string | null;
-            };
-            path: {
-                /** @description The session's id */
-                id: string;
-            };
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            200: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["EventsAnswer"];
-                };
-            };
-            /** @description The client has it */
-            304: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content?: never;
-            };
-            400: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["Problem"];
-                };
-            };
-            404: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["Problem"];
-                };
-            };
-            500: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -2418,6 +2932,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            401: components["responses"]["Unknown"];
             /** @description There is no such session, no such machine in it, or no pose */
             404: {
                 headers: {
@@ -2436,6 +2951,10 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
             /** @description There are too many poses: ask for one machine */
             507: {
                 headers: {
@@ -2455,7 +2974,11 @@ export interface operations {
             };
             header?: {
                 /** @description One range of bytes */
-                Range?: string | null;
+                Range?: string;
+                /** @description Only if the tag is still that; else the whole */
+                "If-Range"?: string;
+                /** @description Tags that the client has */
+                "If-None-Match"?: string;
             };
             path: {
                 /** @description The session's id */
@@ -2481,14 +3004,15 @@ export interface operations {
                     "application/octet-stream": number[];
                 };
             };
-            400: {
+            /** @description The client has it */
+            304: {
                 headers: {
                     [name: string]: unknown;
                 };
-                content: {
-                    "application/problem+json": components["schemas"]["Problem"];
-                };
+                content?: never;
             };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -2508,15 +3032,21 @@ export interface operations {
             };
             416: {
                 headers: {
+                    /** @description How long it is */
+                    "Content-Range"?: string;
                     [name: string]: unknown;
                 };
                 content: {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
         };
     };
-    stop: {
+    stop_session: {
         parameters: {
             query?: never;
             header?: never;
@@ -2536,6 +3066,9 @@ export interface operations {
                     "application/json": components["schemas"]["SessionView"];
                 };
             };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            403: components["responses"]["Forbidden"];
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -2552,72 +3085,10 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
             503: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["Problem"];
-                };
-            };
-        };
-    };
-    session_track: {
-        parameters: {
-            query?: {
-                /** @description Only this machine. */
-                machine?: string;
-                /** @description From here on, by the machines' clocks, RFC 3339. */
-                from?: string;
-                /** @description Before this, by the machines' clocks, RFC 3339. */
-                to?: string;
-                /** @description From one pose to the next, s; 0.2 if it is left out. Doubled until there are not too many poses. */
-                step_s?: number;
-            };
-            header?: {
-                /** @description Tags that the client has */
-                "If-None-Match"?: string | null;
-            };
-            path: {
-                /** @description The session's id */
-                id: string;
-            };
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            200: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["TrackAnswer"];
-                };
-            };
-            /** @description The client has it */
-            304: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content?: never;
-            };
-            400: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["Problem"];
-                };
-            };
-            404: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["Problem"];
-                };
-            };
-            500: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -2661,6 +3132,9 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            401: components["responses"]["Unknown"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
             500: {
                 headers: {
                     [name: string]: unknown;
@@ -2669,6 +3143,360 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            503: components["responses"]["Unavailable"];
+        };
+    };
+    sign_in: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["SignIn"];
+            };
+        };
+        responses: {
+            200: {
+                headers: {
+                    /** @description The sign-in */
+                    "Set-Cookie"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["MeView"];
+                };
+            };
+            400: components["responses"]["Malformed"];
+            /** @description Name or password is wrong */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            403: components["responses"]["Forbidden"];
+            413: components["responses"]["TooLarge"];
+            415: components["responses"]["WrongType"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    sign_out: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Signed out */
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            403: components["responses"]["Forbidden"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
+        };
+    };
+    list_tokens: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["TokensView"];
+                };
+            };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
+        };
+    };
+    add_token: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["NewToken"];
+            };
+        };
+        responses: {
+            201: {
+                headers: {
+                    /** @description The token */
+                    Location?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["NewTokenView"];
+                };
+            };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            403: components["responses"]["Forbidden"];
+            /** @description There is no such account */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description There are no accounts */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            413: components["responses"]["TooLarge"];
+            415: components["responses"]["WrongType"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
+        };
+    };
+    revoke_token: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The token's id */
+                id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description It is good no more */
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            403: components["responses"]["Forbidden"];
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
+        };
+    };
+    list_users: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["UsersView"];
+                };
+            };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            403: components["responses"]["Forbidden"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
+        };
+    };
+    add_user: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["NewUser"];
+            };
+        };
+        responses: {
+            201: {
+                headers: {
+                    /** @description The account */
+                    Location?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["UserView"];
+                };
+            };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            403: components["responses"]["Forbidden"];
+            /** @description The name is taken, or there are no accounts yet: the first is made on the command line */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            413: components["responses"]["TooLarge"];
+            415: components["responses"]["WrongType"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
+        };
+    };
+    remove_user: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description Of the account */
+                name: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description It is gone */
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            403: components["responses"]["Forbidden"];
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description It is the only admin */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
+        };
+    };
+    edit_user: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description Of the account */
+                name: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["UserChange"];
+            };
+        };
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["UserView"];
+                };
+            };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            403: components["responses"]["Forbidden"];
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description It is the only admin */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            413: components["responses"]["TooLarge"];
+            415: components["responses"]["WrongType"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
         };
     };
     healthz: {
@@ -2688,6 +3516,10 @@ export interface operations {
                     "text/plain": string;
                 };
             };
+            400: components["responses"]["Malformed"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
         };
     };
     metrics: {
@@ -2707,6 +3539,12 @@ export interface operations {
                     "application/openmetrics-text": string;
                 };
             };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
         };
     };
     readyz: {
@@ -2726,6 +3564,10 @@ export interface operations {
                     "application/json": components["schemas"]["ReadyView"];
                 };
             };
+            400: components["responses"]["Malformed"];
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
             503: {
                 headers: {
                     [name: string]: unknown;
