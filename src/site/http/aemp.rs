@@ -156,7 +156,7 @@ pub(super) struct Pose {
 
 /// The fleet by ISO/TS 15143-3 (AEMP 2.0), 100 machines a page, as XML unless `Accept` prefers JSON. How good each
 /// position is stands in the namespace `urn:holdfast:pose-quality:1`, in JSON under `hf:PoseQuality`.
-#[utoipa::path(get, path = "/aemp/2.0/Fleet/{page}", tag = "fleet",
+#[utoipa::path(get, path = "/aemp/2.0/Fleet/{page}", operation_id = "aemp_fleet", tag = "fleet",
     params(("page" = u32, Path, description = "From 1", minimum = 1),
         ("Accept" = Option<String>, Header, description = "application/xml, text/xml or application/json")),
     responses((status = OK, content((Fleet = "application/json"), (String = "application/xml"), (String = "text/xml")),

@@ -23,10 +23,10 @@ mod query;
 mod ready;
 mod routes;
 mod sessions;
-pub(super) mod tracks;
 #[cfg(test)]
 mod tests;
 mod tokens;
+pub(super) mod tracks;
 mod trajectory;
 mod users;
 mod visitor;

@@ -4,6 +4,26 @@
  */
 
 export interface paths {
+    "/aemp/2.0/Fleet/{page}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * The fleet by ISO/TS 15143-3 (AEMP 2.0), 100 machines a page, as XML unless `Accept` prefers JSON. How good each
+         *     position is stands in the namespace `urn:holdfast:pose-quality:1`, in JSON under `hf:PoseQuality`.
+         */
+        get: operations["aemp_fleet"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/openapi.json": {
         parameters: {
             query?: never;
@@ -177,6 +197,23 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/machines/{id}/history": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** What a machine said of itself in the last hour, once a second. */
+        get: operations["machine_history"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/machines/{id}/trajectory": {
         parameters: {
             query?: never;
@@ -339,6 +376,23 @@ export interface paths {
         patch: operations["edit_session"];
         trace?: never;
     };
+    "/api/v1/sessions/{id}/events": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** What happened to the machines of a session: modes, graphs, outages, restarts, refused readings. */
+        get: operations["session_events"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/sessions/{id}/export": {
         parameters: {
             query?: never;
@@ -390,6 +444,23 @@ export interface paths {
         put?: never;
         /** Ends the session that runs. Nothing is recorded until another one is started, or begins by itself. */
         post: operations["stop_session"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/sessions/{id}/track": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** Where the machines of a session were and how they did, thinned to 24 000 poses at most: for replay. */
+        get: operations["session_track"];
+        put?: never;
+        post?: never;
         delete?: never;
         options?: never;
         head?: never;
@@ -516,6 +587,27 @@ export interface paths {
         head?: never;
         /** Changes role or password of an account. The only admin stays one. */
         patch: operations["edit_user"];
+        trace?: never;
+    };
+    "/foxglove": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * The machines in Foxglove or Lichtblick, live, or a recorded session with playback control: a WebSocket with the
+         *     sub-protocol `foxglove.sdk.v1` or `foxglove.websocket.v1`. Topics, encodings and schemas are those of the
+         *     recordings; `/{machine}/tf`, `/{machine}/location` and `/{machine}/log` come in addition.
+         */
+        get: operations["foxglove"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
         trace?: never;
     };
     "/healthz": {
@@ -786,6 +878,88 @@ export interface components {
          * @enum {string}
          */
         Ending: "recovered" | "link_back" | "restarted" | "unheard";
+        /** @description One event of a machine. */
+        Event: components["schemas"]["EventKind"] & {
+            /** @description How much it matters. */
+            severity: components["schemas"]["Severity"];
+            /**
+             * Format: int64
+             * @description When, by the machine's stamps, ns.
+             */
+            stamp_ns: number;
+        };
+        /** @description What happened. */
+        EventKind: {
+            /** @description Before. */
+            from: components["schemas"]["Mode"];
+            /** @enum {string} */
+            kind: "mode_changed";
+            /** @description After. */
+            to: components["schemas"]["Mode"];
+        } | {
+            /** @description Before. */
+            from: components["schemas"]["Graph"];
+            /** @enum {string} */
+            kind: "graph_changed";
+            /** @description Why. */
+            reason: string;
+            /** @description After. */
+            to: components["schemas"]["Graph"];
+        } | {
+            /** @description Before. */
+            from: components["schemas"]["GnssState"];
+            /** @enum {string} */
+            kind: "gnss_changed";
+            /** @description After. */
+            to: components["schemas"]["GnssState"];
+        } | {
+            /** @description How the heading was found. */
+            heading_from: string;
+            /**
+             * Format: double
+             * @description Standard deviation of the heading, degrees.
+             */
+            heading_sigma_deg: number;
+            /** @enum {string} */
+            kind: "initialized";
+        } | {
+            /**
+             * Format: int64
+             * @description How many since the last such event of this sensor.
+             */
+            count: number;
+            /** @enum {string} */
+            kind: "refused";
+            /** @description Why, with its numbers. */
+            reason: string;
+            /** @description Whose reading. */
+            sensor: components["schemas"]["Sensor"];
+        } | {
+            /** @description What was wrong. */
+            cause: components["schemas"]["GnssState"];
+            /** @enum {string} */
+            kind: "outage_began";
+        } | (components["schemas"]["OutageReport"] & {
+            /** @enum {string} */
+            kind: "outage_ended";
+        }) | {
+            /** @enum {string} */
+            kind: "restarted";
+            /** @description Why. */
+            reason: string;
+        };
+        /** @description What happened in a session. */
+        EventsAnswer: {
+            /** @description In order of time, 5000 at most. */
+            events: components["schemas"]["SessionEvent"][];
+            /**
+             * Format: int64
+             * @description Events that were left out, refused readings first.
+             */
+            left_out: number;
+            /** @description The session's id. */
+            session: string;
+        };
         /** @description One of the files of a session. */
         FileView: {
             /**
@@ -855,6 +1029,11 @@ export interface components {
             /** @description State of the fixes. */
             state: components["schemas"]["FixState"];
         };
+        /**
+         * @description Which of the two graphs answers.
+         * @enum {string}
+         */
+        Graph: "main" | "fallback" | "trial";
         /** @description State of a machine's estimator. */
         Health: {
             /** @description Accelerometer bias, m/s², in the IMU frame. */
@@ -916,11 +1095,33 @@ export interface components {
             age_s: number;
             /**
              * Format: double
-             * @description How old its newest estimate was when it said this, by its own clock, s; `null` before the start.
+             * @description From the newest estimate to the report, by the machine's clock, s; `null` before the start.
              */
             estimate_age_s?: number | null;
+            /**
+             * Format: double
+             * @description From an IMU sample to its estimate, 99 % of them over the last second, µs; `null` if it does not tell.
+             */
+            prediction_p99_us?: number | null;
             /** @description As the machine sent it. */
             report: components["schemas"]["Health"];
+        };
+        /** @description What a machine said of itself. */
+        HistoryView: {
+            /**
+             * Format: date-time
+             * @description When the last of them arrived: `since` for those that follow.
+             */
+            last?: string | null;
+            /** @description The machine's id. */
+            machine: string;
+            /**
+             * Format: date-time
+             * @description Times count from here, by the site's clock; `null` if there is nothing.
+             */
+            start?: string | null;
+            /** @description Oldest first, one a second. */
+            states: components["schemas"]["StatePoint"][];
         };
         /** @description How good the link to a machine is. */
         LinkView: {
@@ -1017,6 +1218,31 @@ export interface components {
             /** @description Over the whole span. */
             total: components["schemas"]["Tally"];
         };
+        /** @description One machine in a session. */
+        MachineTrack: {
+            /**
+             * Format: double
+             * @description What was added to its times, since its clock was not the site's, s.
+             */
+            clock_shift_s: number;
+            /** @description Its id. */
+            id: string;
+            /** @description For people. */
+            name: string;
+            /** @description Thinned. */
+            poses: components["schemas"]["PoseColumns"];
+            /**
+             * Format: int64
+             * @description Poses that were sent, but are not in the recording.
+             */
+            poses_missing: number;
+            /** @description Two seconds and more without a pose. */
+            silences: components["schemas"]["SilenceView"][];
+            /** @description Version of its software, as it told last; empty if it did not. */
+            software: string;
+            /** @description What it said of itself: once a second or less often, and at each change of mode or fixes. */
+            states: components["schemas"]["StatePoint"][];
+        };
         /** @description One machine at one time. */
         MachineView: {
             /** @description 16 hex digits, drawn at each start of the machine's software; empty if not known yet. */
@@ -1040,6 +1266,8 @@ export interface components {
             presence_since: string;
             /** @description How much it asks for attention. */
             severity: components["schemas"]["Severity"];
+            /** @description Version of its software; empty if not known yet. */
+            software: string;
             /** @description The state in a few words. */
             state_word: string;
         };
@@ -1232,6 +1460,29 @@ export interface components {
             /** @description In the site frame: east, north, up, m. */
             position_m: number[];
         };
+        /** @description Poses of a machine, a list for each value, all of one length. */
+        PoseColumns: {
+            /** @description A point of the axis about which the cabin turns, m. */
+            cabin_position_m: number[][];
+            /** @description Of the chassis' x axis, where it is known. */
+            chassis_heading_deg: (number | null)[];
+            /** @description Origin of the chassis frame: east, north, up, m. */
+            chassis_position_m: (number[] | null)[];
+            /** @description 95 % ellipse: longer half axis, shorter half axis, m; bearing of the longer one, degrees. */
+            ellipse95: number[][];
+            /** @description Of the cabin's x axis, clockwise from north. */
+            heading_deg: number[];
+            /** @description One sigma. */
+            heading_sigma_deg: number[];
+            /** @description Of the cabin IMU in the site frame: east, north, up, m. */
+            position_m: number[][];
+            /** @description One sigma: east, north, up, m. */
+            position_sigma_m: number[][];
+            /** @description Of the cabin IMU, m/s. */
+            speed_mps: number[];
+            /** @description Since `start`, s. */
+            time_s: number[];
+        };
         /** @description Where a machine is. */
         PoseView: {
             /**
@@ -1400,12 +1651,34 @@ export interface components {
             /** @description Which one. */
             sensor: components["schemas"]["Sensor"];
         };
+        /** @description How often a sensor spoke. */
+        SensorRate: {
+            /**
+             * Format: double
+             * @description Over the second before, Hz.
+             */
+            rate_hz: number;
+            /** @description Which one. */
+            sensor: components["schemas"]["Sensor"];
+        };
         /** @description A session and its files. */
         SessionDetail: {
             /** @description Its files, in order of their numbers. */
             files: components["schemas"]["FileView"][];
             /** @description The session. */
             session: components["schemas"]["SessionView"];
+        };
+        /** @description An event of a machine. */
+        SessionEvent: {
+            /** @description What. */
+            event: components["schemas"]["Event"];
+            /** @description Whose. */
+            machine: string;
+            /**
+             * Format: date-time
+             * @description By the machine's stamps.
+             */
+            time: string;
         };
         /**
          * @description How whole a session is.
@@ -1573,6 +1846,19 @@ export interface components {
              */
             password: string;
         };
+        /** @description A span without any pose. */
+        SilenceView: {
+            /**
+             * Format: double
+             * @description Since `start`, s.
+             */
+            from_s: number;
+            /**
+             * Format: double
+             * @description Since `start`, s.
+             */
+            to_s: number;
+        };
         /** @description The site. */
         SiteView: {
             /** @description As in keys. */
@@ -1585,6 +1871,76 @@ export interface components {
             time_zone: string;
             /** @description Origin of the site frame. */
             world: components["schemas"]["WorldView"];
+        };
+        /** @description What is known of a machine at one time. */
+        StatePoint: {
+            /** @description Accelerometer bias, m/s², in the IMU frame. */
+            accel_bias: number[];
+            /**
+             * Format: double
+             * @description Live, the site's clock less the machine's; of a recording, from sending to receiving by both clocks, s.
+             */
+            clock_offset_s?: number | null;
+            /**
+             * Format: double
+             * @description From the newest estimate to the report, s.
+             */
+            estimate_age_s?: number | null;
+            /** @description State of the fixes. */
+            gnss: components["schemas"]["GnssState"];
+            /** @description Gyro bias, rad/s, in the IMU frame. */
+            gyro_bias: number[];
+            /**
+             * Format: double
+             * @description One sigma of the heading.
+             */
+            heading_sigma_deg?: number | null;
+            /** @description What the estimate rests on. */
+            mode: components["schemas"]["Mode"];
+            /**
+             * Format: double
+             * @description Live: poses that arrived in the second before.
+             */
+            pose_rate_hz?: number | null;
+            /**
+             * Format: double
+             * @description One sigma of the position along its worst horizontal direction, m; `null` before the start.
+             */
+            position_sigma_m?: number | null;
+            /**
+             * Format: double
+             * @description From an IMU sample to its estimate, 99 % of them, µs.
+             */
+            prediction_p99_us?: number | null;
+            /** @description The sensors that ever spoke. */
+            rates: components["schemas"]["SensorRate"][];
+            /** @description How much it asks for attention. */
+            severity: components["schemas"]["Severity"];
+            /**
+             * Format: double
+             * @description Of the cabin IMU, m/s; `null` if no pose was known.
+             */
+            speed_mps?: number | null;
+            /** @description The state in a few words. */
+            state_word: string;
+            /**
+             * Format: double
+             * @description Since the start of the answer that it is in, s.
+             */
+            time_s: number;
+            /**
+             * Format: double
+             * @description Mean time of a smoother update, µs.
+             */
+            update_us: number;
+            /** @description While initializing: what is missing. */
+            waits_for?: string | null;
+            /**
+             * Format: double
+             * @description Largest ratio of innovation to its gate over the second before; over 1 was refused.
+             */
+            worst_test_ratio: number;
+            worst_test_sensor?: components["schemas"]["Sensor"] | null;
         };
         /** @description Outages added up. */
         Statistics: {
@@ -1713,6 +2069,30 @@ export interface components {
             /** @description In the order of their accounts, then of age. */
             tokens: components["schemas"]["TokenView"][];
         };
+        /** @description What the machines of a session did. */
+        TrackAnswer: {
+            /** @description Whether nothing is added to the session any more. */
+            finished: boolean;
+            /**
+             * Format: double
+             * @description From the first to the last, s.
+             */
+            length_s: number;
+            /** @description In the order of their ids. */
+            machines: components["schemas"]["MachineTrack"][];
+            /** @description The session's id. */
+            session: string;
+            /**
+             * Format: date-time
+             * @description Times count from here; `null` if there is nothing.
+             */
+            start?: string | null;
+            /**
+             * Format: double
+             * @description From one pose to the next, s: longer than was asked for where there would be too many.
+             */
+            step_s: number;
+        };
         /** @description Where the machine was at a time of an outage. */
         TrackView: components["schemas"]["PlaceView"] & {
             /**
@@ -1813,6 +2193,128 @@ export interface components {
              */
             longitude_deg: number;
         };
+        /** @description A machine. */
+        "aemp.Equipment": {
+            EquipmentHeader: components["schemas"]["aemp.EquipmentHeader"];
+            Location?: components["schemas"]["aemp.Location"] | null;
+            /** @description In the namespace `urn:holdfast:pose-quality:1`. */
+            "hf:PoseQuality": components["schemas"]["aemp.PoseQuality"];
+        };
+        /** @description Who it is. */
+        "aemp.EquipmentHeader": {
+            /** @description The machine's id. */
+            EquipmentID: string;
+        };
+        /** @description A page of the fleet, by the names of ISO/TS 15143-3. */
+        "aemp.Fleet": {
+            Equipment: components["schemas"]["aemp.Equipment"][];
+            Links: components["schemas"]["aemp.Link"][];
+            /**
+             * Format: date-time
+             * @description When the page was made, to the second.
+             */
+            snapshotTime: string;
+            version: string;
+        };
+        /** @description Where another page is. */
+        "aemp.Link": {
+            /** @description On this server. */
+            href: string;
+            /** @description `self`, `first`, `prev`, `next` or `last`. */
+            rel: string;
+        };
+        /** @description Its last known location: of the cabin IMU, WGS84. */
+        "aemp.Location": {
+            /**
+             * Format: double
+             * @description Above the ellipsoid.
+             */
+            Altitude: number;
+            /** @description `metre`. */
+            AltitudeUnits: string;
+            /**
+             * Format: double
+             * @description Degrees.
+             */
+            Latitude: number;
+            /**
+             * Format: double
+             * @description Degrees.
+             */
+            Longitude: number;
+            /**
+             * Format: date-time
+             * @description To the second.
+             */
+            datetime: string;
+        };
+        /** @description The pose behind the location. */
+        "aemp.Pose": {
+            /**
+             * Format: double
+             * @description Since it arrived, s.
+             */
+            AgeSeconds: number;
+            /**
+             * Format: double
+             * @description Of its longer axis, from the site's north, clockwise.
+             */
+            Ellipse95BearingDegrees: number;
+            /**
+             * Format: double
+             * @description Half axis of the horizontal ellipse of 95 % probability, m.
+             */
+            Ellipse95SemiMajorMetres: number;
+            /**
+             * Format: double
+             * @description Half axis of it, m.
+             */
+            Ellipse95SemiMinorMetres: number;
+            /**
+             * Format: double
+             * @description Of the cabin, from the site's north, clockwise.
+             */
+            HeadingDegrees: number;
+            /**
+             * Format: double
+             * @description One sigma.
+             */
+            HeadingSigmaDegrees: number;
+            /**
+             * Format: double
+             * @description One sigma, m.
+             */
+            PositionSigmaEastMetres: number;
+            /**
+             * Format: double
+             * @description One sigma, m.
+             */
+            PositionSigmaNorthMetres: number;
+            /**
+             * Format: double
+             * @description One sigma, m.
+             */
+            PositionSigmaUpMetres: number;
+            /**
+             * Format: date-time
+             * @description By the machine's stamps, to the nanosecond.
+             */
+            datetime: string;
+        };
+        /** @description How far the location can be trusted. */
+        "aemp.PoseQuality": {
+            Gnss?: components["schemas"]["GnssState"] | null;
+            Mode?: components["schemas"]["Mode"] | null;
+            /** @description What people call the machine. */
+            Name: string;
+            Pose?: components["schemas"]["aemp.Pose"] | null;
+            /** @description Whether it is there. */
+            Presence: components["schemas"]["Presence"];
+            /** @description How much that asks for attention. */
+            Severity: components["schemas"]["Severity"];
+            /** @description Its state in a few words. */
+            State: string;
+        };
     };
     responses: {
         /** @description A fault of the server */
@@ -1906,6 +2408,66 @@ export interface components {
 }
 export type $defs = Record<string, never>;
 export interface operations {
+    aemp_fleet: {
+        parameters: {
+            query?: never;
+            header?: {
+                /** @description application/xml, text/xml or application/json */
+                Accept?: string;
+            };
+            path: {
+                /** @description From 1 */
+                page: number;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    /** @description Accept */
+                    Vary?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["aemp.Fleet"];
+                    "application/xml": string;
+                    "text/xml": string;
+                };
+            };
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            401: components["responses"]["Unknown"];
+            /** @description There is no such page */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Neither XML nor JSON is wanted */
+            406: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
+        };
+    };
     openapi: {
         parameters: {
             query?: never;
@@ -2284,6 +2846,52 @@ export interface operations {
                 };
             };
             400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
+        };
+    };
+    machine_history: {
+        parameters: {
+            query?: {
+                /** @description Only what arrived after that, RFC 3339. */
+                since?: string;
+            };
+            header?: never;
+            path: {
+                /** @description The machine's id */
+                id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["HistoryView"];
+                };
+            };
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
             401: components["responses"]["Unknown"];
             404: {
                 headers: {
@@ -2888,6 +3496,75 @@ export interface operations {
             };
         };
     };
+    session_events: {
+        parameters: {
+            query?: {
+                /** @description Only this machine. */
+                machine?: string;
+                /** @description From here on, by the machines' clocks, RFC 3339. */
+                from?: string;
+                /** @description Before this, by the machines' clocks, RFC 3339. */
+                to?: string;
+                /** @description From one pose to the next, s; 0.2 if it is left out. Doubled until there are not too many poses. */
+                step_s?: number;
+            };
+            header?: {
+                /** @description Tags that the client has */
+                "If-None-Match"?: string;
+            };
+            path: {
+                /** @description The session's id */
+                id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["EventsAnswer"];
+                };
+            };
+            /** @description The client has it */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            401: components["responses"]["Unknown"];
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            503: components["responses"]["Unavailable"];
+        };
+    };
     export: {
         parameters: {
             query: {
@@ -3096,6 +3773,75 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+        };
+    };
+    session_track: {
+        parameters: {
+            query?: {
+                /** @description Only this machine. */
+                machine?: string;
+                /** @description From here on, by the machines' clocks, RFC 3339. */
+                from?: string;
+                /** @description Before this, by the machines' clocks, RFC 3339. */
+                to?: string;
+                /** @description From one pose to the next, s; 0.2 if it is left out. Doubled until there are not too many poses. */
+                step_s?: number;
+            };
+            header?: {
+                /** @description Tags that the client has */
+                "If-None-Match"?: string;
+            };
+            path: {
+                /** @description The session's id */
+                id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["TrackAnswer"];
+                };
+            };
+            /** @description The client has it */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            401: components["responses"]["Unknown"];
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            503: components["responses"]["Unavailable"];
         };
     };
     shadow_map: {
@@ -3497,6 +4243,74 @@ export interface operations {
             429: components["responses"]["TooMany"];
             500: components["responses"]["Failed"];
             503: components["responses"]["Unavailable"];
+        };
+    };
+    foxglove: {
+        parameters: {
+            query?: {
+                /** @description Play this session instead of showing what is live */
+                session?: string;
+                /** @description Of the session, seconds in a second; by default 1 */
+                speed?: number;
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description A WebSocket */
+            101: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            401: components["responses"]["Unknown"];
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description There is no such session, or no message in it */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            421: components["responses"]["Misdirected"];
+            426: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
         };
     };
     healthz: {
