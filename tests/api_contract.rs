@@ -144,6 +144,7 @@ async fn api(folder: &Folder) -> (Api, Site, Machine) {
     let names = BTreeMap::from([
         ("{session}", session().await.expect("a session")),
         ("{name}", "bert".to_owned()),
+        ("{page}", "1".to_owned()),
         ("tokens/{id}", format!("tokens/{}", token.expect("a token"))),
     ]);
     let document = exchange(address, "GET", "/api/openapi.json", &authorized).await.json();
@@ -235,7 +236,7 @@ async fn every_operation_asked_wrongly_answers_as_documented_and_changes_nothing
         if !of_kind("path").is_empty() {
             let nowhere = api.names.clone();
             for value in ["nobody", "..%2f..%2fetc", "%00", "a%20b", "%ff", &"a".repeat(500)] {
-                for name in ["{session}", "{name}"] {
+                for name in ["{session}", "{name}", "{page}"] {
                     api.names.insert(name, value.to_owned());
                 }
                 api.names.insert("tokens/{id}", format!("tokens/{value}"));
