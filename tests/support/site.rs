@@ -40,6 +40,8 @@ impl Folder {
                     [zenoh]\nlisten = [\"tcp/127.0.0.1:0\"]\n";
         let mut config: config::Site = config::parse(text, Path::new("site.toml")).expect("valid");
         config.record.directory = self.0.clone();
+        // Tests ask without a pause, as people do not.
+        config.http.requests_per_s = 10_000.0;
         config
     }
 }
