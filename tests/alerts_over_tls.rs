@@ -1,6 +1,8 @@
 //! Receivers behind TLS: told if somebody we believe has signed their certificates for their names, and only then.
 #![cfg(feature = "shells")]
 
+#[path = "support/authority.rs"]
+mod authority;
 #[path = "support/receivers.rs"]
 #[allow(dead_code, reason = "shared with tests that use more of it")]
 mod receivers;
@@ -8,54 +10,34 @@ mod receivers;
 #[allow(dead_code, reason = "shared with tests that use more of it")]
 mod support;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 
 use holdfast::config;
 use holdfast::site::Site;
-use rcgen::{BasicConstraints, CertificateParams, IsCa, Issuer, KeyPair};
 use serde_json::Value;
 use tokio_rustls::TlsAcceptor;
 use tokio_rustls::rustls::ServerConfig;
 use tokio_rustls::rustls::pki_types::PrivatePkcs8KeyDer;
 
+use authority::{Authority, Signed};
 use receivers::{HttpReceiver, MailReceiver, Secrecy};
 use support::{Folder, exchange};
 
-/// A company's own authority.
-struct Authority {
-    issuer: Issuer<'static, KeyPair>,
-    file: PathBuf,
-}
-
-impl Authority {
-    fn new(folder: &Folder) -> Self {
-        let mut parameters = CertificateParams::new(Vec::new()).expect("parameters");
-        parameters.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
-        let key = KeyPair::generate().expect("a key");
-        let certificate = parameters.self_signed(&key).expect("signed");
-        let file = folder.0.join("authority.pem");
-        std::fs::write(&file, certificate.pem()).expect("written");
-        Self { issuer: Issuer::new(parameters, key), file }
-    }
-
-    /// A server's side, with a certificate for that name.
-    fn acceptor(&self, name: &str) -> TlsAcceptor {
-        let key = KeyPair::generate().expect("a key");
-        let parameters = CertificateParams::new(vec![name.to_owned()]).expect("parameters");
-        let certificate = parameters.signed_by(&key, &self.issuer).expect("signed");
-        let provider = Arc::new(tokio_rustls::rustls::crypto::ring::default_provider());
-        let config = ServerConfig::builder_with_provider(provider)
-            .with_safe_default_protocol_versions()
-            .expect("versions")
-            .with_no_client_auth()
-            .with_single_cert(
-                vec![certificate.der().clone()],
-                PrivatePkcs8KeyDer::from(key.serialize_der()).into(),
-            )
-            .expect("a certificate");
-        TlsAcceptor::from(Arc::new(config))
-    }
+/// A server's side, with a certificate for that name.
+fn acceptor(authority: &Authority, name: &str) -> TlsAcceptor {
+    let Signed { certificate, key } = authority.sign("receiver", name);
+    let provider = Arc::new(tokio_rustls::rustls::crypto::ring::default_provider());
+    let config = ServerConfig::builder_with_provider(provider)
+        .with_safe_default_protocol_versions()
+        .expect("versions")
+        .with_no_client_auth()
+        .with_single_cert(
+            vec![certificate.der().clone()],
+            PrivatePkcs8KeyDer::from(key.serialize_der()).into(),
+        )
+        .expect("a certificate");
+    TlsAcceptor::from(Arc::new(config))
 }
 
 fn config(folder: &Folder, alerts: &str) -> config::Site {
@@ -79,8 +61,8 @@ async fn tell(config: &config::Site) -> Vec<(bool, String)> {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn webhooks_and_mail_over_tls_reach_those_whom_a_believed_authority_has_signed() {
     let folder = Folder::new("alerts-tls");
-    let authority = Authority::new(&folder);
-    let (ours, other) = (authority.acceptor("127.0.0.1"), authority.acceptor("elsewhere.example"));
+    let authority = Authority::new(&folder.0, "authority");
+    let (ours, other) = (acceptor(&authority, "127.0.0.1"), acceptor(&authority, "elsewhere.example"));
     let hook = HttpReceiver::start_over(Secrecy::Tls(ours.clone()), "127.0.0.1:0", &[]).await;
     let impostor = HttpReceiver::start_over(Secrecy::Tls(other), "127.0.0.1:0", &[]).await;
     let hooks = format!(

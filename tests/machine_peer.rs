@@ -72,6 +72,10 @@ struct Seen {
     payload: Vec<u8>,
 }
 
+fn listening(endpoint: &str) -> config::Zenoh {
+    config::Zenoh { listen: vec![endpoint.to_owned()], ..config::Zenoh::default() }
+}
+
 /// Somebody else's session that listens as a site does.
 struct Observer {
     session: zenoh::Session,
@@ -82,7 +86,7 @@ struct Observer {
 
 impl Observer {
     async fn open() -> Self {
-        let settings = link::site_config(&["tcp/127.0.0.1:0".to_owned()], 2000).expect("settings");
+        let settings = link::site_config("site", &listening("tcp/127.0.0.1:0"), 2000).expect("settings");
         let session = link::open(settings).await.expect("session");
         let endpoint = session.info().locators().await[0].to_string();
         let (sample_sender, samples) = mpsc::channel(1 << 16);
@@ -372,7 +376,7 @@ async fn machine_starts_without_its_site_is_found_when_it_comes_and_stops_at_onc
     let machine = linked(scenario.machines[1].clone(), &format!("tcp/{free}"));
     let source = Source::Simulation { scenario: Box::new(scenario), index: 1 };
     let peer = Machine::start(Options { machine, source, speed: 1.0 }).await.expect("start");
-    let settings = link::site_config(&[format!("tcp/{free}")], 2000).expect("settings");
+    let settings = link::site_config("site", &listening(&format!("tcp/{free}")), 2000).expect("settings");
     let site = link::open(settings).await.expect("site");
     let (sender, mut receiver) = mpsc::channel(1 << 16);
     site.declare_subscriber("holdfast/site/walker-2/sensor/imu")

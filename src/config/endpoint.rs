@@ -12,8 +12,14 @@ pub(crate) fn endpoints(key: &str, texts: &[String]) -> Result<(), Violation> {
 }
 
 /// `Err` with what is wrong, unless every text is an endpoint to listen on that only this computer reaches, or
-/// `unauthenticated` says that whoever else reaches it may be believed. `table` is the table of both keys.
-pub(crate) fn listening(table: &str, texts: &[String], unauthenticated: bool) -> Result<(), Violation> {
+/// `unauthenticated` says that whoever else reaches it may be believed. `table` is the table of both keys, `instead` is
+/// what else can be done.
+pub(crate) fn listening(
+    table: &str,
+    texts: &[String],
+    unauthenticated: bool,
+    instead: &str,
+) -> Result<(), Violation> {
     let key = format!("{table}.listen");
     endpoints(&key, texts)?;
     match texts.iter().find(|text| !unauthenticated && !is_loopback(text)) {
@@ -22,9 +28,17 @@ pub(crate) fn listening(table: &str, texts: &[String], unauthenticated: bool) ->
             &key,
             format!(
                 "is {text}, which others can reach, and who dials in is not asked who it is; listen on a loopback \
-                 address, or set {table}.unauthenticated = true on a network that is yours alone"
+                 address, {instead}or set {table}.unauthenticated = true on a network that is yours alone"
             ),
         ),
+    }
+}
+
+/// `Err` with what is wrong, unless every text is an endpoint of TLS.
+pub(crate) fn secret(key: &str, texts: &[String]) -> Result<(), Violation> {
+    match texts.iter().find(|text| !text.starts_with("tls/")) {
+        None => Ok(()),
+        Some(text) => violation(key, format!("is {text}, must begin with tls/ where there are certificates")),
     }
 }
 
@@ -69,7 +83,8 @@ mod tests {
 
     #[test]
     fn what_others_can_reach_is_refused_unless_asked_for() {
-        let listen = |text: &str, unauthenticated| listening("zenoh", &[text.to_owned()], unauthenticated);
+        let listen =
+            |text: &str, unauthenticated| listening("zenoh", &[text.to_owned()], unauthenticated, "");
         for text in ["tcp/127.0.0.1:7447", "tcp/[::1]:0", "tls/localhost:7447"] {
             assert_eq!(listen(text, false), Ok(()), "{text}");
         }

@@ -4,7 +4,8 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
-use super::endpoint::{endpoints, listening};
+use super::endpoint::{endpoints, listening, secret};
+use super::tls::Tls;
 use super::{Checked, Topics, Violation, identifier, positive, violation, within};
 use crate::estimator::{self, GateOptions, InOutage};
 use crate::frames::geodesy::{Geodetic, SiteFrame};
@@ -235,6 +236,9 @@ pub struct Link {
     pub unauthenticated: bool,
     /// A link with no byte for so long is dead, ms.
     pub lease_ms: u64,
+    /// Certificates: all of `connect` is TLS, and both ends know each other.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tls: Option<Tls>,
 }
 
 /// The machine's own record, from which the site fetches what it missed.
@@ -313,6 +317,7 @@ impl Default for Link {
             listen: Vec::new(),
             unauthenticated: false,
             lease_ms: 2_000,
+            tls: None,
         }
     }
 }
@@ -475,7 +480,10 @@ impl Checked for Machine {
         within("publish.pose_rate_hz", self.publish.pose_rate_hz, 0.1, 2000.0)?;
         identifier("link.site", &self.link.site)?;
         endpoints("link.connect", &self.link.connect)?;
-        listening("link", &self.link.listen, self.link.unauthenticated)?;
+        listening("link", &self.link.listen, self.link.unauthenticated, "")?;
+        if self.link.tls.is_some() {
+            secret("link.connect", &self.link.connect)?;
+        }
         within("link.lease_ms", self.link.lease_ms as f64, 100.0, 600_000.0)?;
         within("record.size_max_mb", self.record.size_max_mb as f64, 1.0, 1e9)?;
         self.topics.check()

@@ -7,6 +7,7 @@ mod alerts;
 mod endpoint;
 mod machine;
 mod site;
+mod tls;
 mod topics;
 
 use std::fmt;
@@ -24,6 +25,7 @@ pub use machine::{
     Publish, Smoother, Transform, World,
 };
 pub use site::{Equipment, Http, Record, Rotate, Site, Tolerance, Zenoh};
+pub use tls::{Admitted, Tls};
 pub use topics::Topics;
 
 /// Why a configuration file cannot be used.

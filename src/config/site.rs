@@ -7,7 +7,8 @@ use jiff::civil::Time;
 use jiff::tz::TimeZone;
 use serde::{Deserialize, Serialize};
 
-use super::endpoint::listening;
+use super::endpoint::{endpoints, listening, secret};
+use super::tls::{Admitted, Tls};
 use super::{Alerts, Checked, Violation, World, identifier, violation, within};
 
 /// One site server.
@@ -102,6 +103,31 @@ pub struct Zenoh {
     pub listen: Vec<String>,
     /// `listen` may be reached from other computers, and whoever dials in is believed.
     pub unauthenticated: bool,
+    /// Certificates: all of `listen` is TLS, and who dials in is asked who it is.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tls: Option<Tls>,
+    /// Who may dial in, where there are certificates.
+    pub admitted: Admitted,
+}
+
+impl Zenoh {
+    fn check(&self) -> Result<(), Violation> {
+        if self.listen.is_empty() {
+            return violation(
+                "zenoh.listen",
+                "is empty, must name an endpoint for the machines, such as tcp/127.0.0.1:7447".to_owned(),
+            );
+        }
+        self.admitted.check()?;
+        if self.tls.is_some() {
+            return endpoints("zenoh.listen", &self.listen)
+                .and_then(|()| secret("zenoh.listen", &self.listen));
+        }
+        if self.admitted != Admitted::default() {
+            return violation("zenoh.admitted", "means nothing without [zenoh.tls]".to_owned());
+        }
+        listening("zenoh", &self.listen, self.unauthenticated, "give it certificates in [zenoh.tls], ")
+    }
 }
 
 /// What is kept.
@@ -167,7 +193,12 @@ impl Default for Http {
 
 impl Default for Zenoh {
     fn default() -> Self {
-        Self { listen: vec!["tcp/127.0.0.1:7447".to_owned()], unauthenticated: false }
+        Self {
+            listen: vec!["tcp/127.0.0.1:7447".to_owned()],
+            unauthenticated: false,
+            tls: None,
+            admitted: Admitted::default(),
+        }
     }
 }
 
@@ -321,13 +352,7 @@ impl Checked for Site {
             }
         }
         within("tolerance.position_sigma_m", self.tolerance.position_sigma_m, 0.001, 100.0)?;
-        if self.zenoh.listen.is_empty() {
-            return violation(
-                "zenoh.listen",
-                "is empty, must name an endpoint for the machines, such as tcp/127.0.0.1:7447".to_owned(),
-            );
-        }
-        listening("zenoh", &self.zenoh.listen, self.zenoh.unauthenticated)
+        self.zenoh.check()
     }
 }
 

@@ -78,7 +78,7 @@ pub(super) struct Inlet {
 /// Opens the session and waits until its endpoints listen. Returns them with the ports that the system chose.
 pub(super) async fn open(config: &config::Site) -> Result<(zenoh::Session, Vec<String>), SiteError> {
     let settings =
-        link::site_config(&config.zenoh.listen, LEASE_MS).map_err(|error| zenoh_error(config, error))?;
+        link::site_config(&config.id, &config.zenoh, LEASE_MS).map_err(|error| zenoh_error(config, error))?;
     let session = link::open(settings).await.map_err(|error| zenoh_error(config, error))?;
     let endpoints = session.info().locators().await.iter().map(ToString::to_string).collect();
     Ok((session, endpoints))

@@ -76,6 +76,11 @@ impl Machine {
         ] {
             settings.insert_json5(key, &value).expect("a known key");
         }
+        Self::over(settings, id, boot).await
+    }
+
+    /// Over a link of one's own.
+    pub async fn over(settings: zenoh::Config, id: &'static str, boot: u64) -> Self {
         let session = zenoh::open(settings).await.expect("opens");
         let boot = BootId(boot);
         let token =
