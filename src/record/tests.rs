@@ -298,6 +298,33 @@ fn time_before_the_epoch_and_a_clock_set_back_do_no_harm() {
     assert_eq!(arrivals(&path, "a")[0].arrival, Stamp::from_nanos(0));
 }
 
+/// Chunks of a file with ten seconds of messages, each stamped so much later than it should be.
+fn chunks(name: &str, late_ms: impl Fn(i64) -> i64) -> usize {
+    let folder = Folder::new(name);
+    let path = folder.file("s.mcap");
+    let mut writer = RecordWriter::create(&path).expect("create");
+    for index in 0..1_000 {
+        let message = recorded("a", index as u64, &imu(index));
+        let received = message.received + Span::from_millis(late_ms(index));
+        writer.write(&Recorded { received, ..message }).expect("write");
+    }
+    writer.finish().expect("finish");
+    let bytes = std::fs::read(&path).expect("read");
+    mcap::Summary::read(&bytes).expect("readable").expect("a summary").chunk_indexes.len()
+}
+
+#[test]
+fn stamps_in_some_disorder_are_synced_no_more_often_than_others() {
+    let in_order = chunks("ordered", |_| 0);
+    assert!((14..=16).contains(&in_order), "{in_order}");
+    // Every other message was stamped by a thread that came to the queue late.
+    let disordered = chunks("disordered", |index| if index % 2 == 0 { 0 } else { -30 });
+    assert!(disordered.abs_diff(in_order) <= 1, "{disordered}, not {in_order}");
+    // A clock that is set back by an hour is no disorder: one sync more, and on as before.
+    let set_back = chunks("set-back", |index| if index < 500 { 0 } else { -3_600_000 });
+    assert!((in_order..=in_order + 2).contains(&set_back), "{set_back}, not {in_order}");
+}
+
 /// A boot of machine `a` that took so many samples, with a page and a takeover after every ten; what `keep` does
 /// not want is lost on the way.
 fn write_boot(writer: &mut RecordWriter, boot: u64, samples: i64, keep: impl Fn(Topic, u64) -> bool) {
