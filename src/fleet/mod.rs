@@ -29,7 +29,7 @@ use std::collections::BTreeMap;
 
 pub use alerts::{
     Acknowledgement, AcknowledgementView, Alert, AlertRule, AlertSeverity, AlertState, AlertView, Alerts,
-    Observation, RuleKind, SiteState, Subject, Unacknowledged, observations, retry_after,
+    Observation, RuleKind, SiteState, Subject, Unacknowledged, Unrecorded, observations, retry_after,
 };
 pub use outages::{
     Budget, CELL_M, CauseTally, CellKey, CellTime, Change, CurrentOutage, DayStatistics, Ending,

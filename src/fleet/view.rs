@@ -163,6 +163,10 @@ pub struct MachineView {
     pub gnss: GnssView,
     /// How good its link is.
     pub link: LinkView,
+    /// For how long another machine has said that it has this id, s; `None` if none does. People read it in
+    /// `state_word`.
+    #[serde(skip)]
+    pub id_conflict_s: Option<f64>,
 }
 
 /// Where a machine is.

@@ -1618,7 +1618,7 @@ export interface components {
          * @description What is watched.
          * @enum {string}
          */
-        RuleKind: "outage_longer" | "sigma_over_tolerance" | "machine_lost" | "clock_off" | "disk_low" | "estimator_late" | "sensor_silent";
+        RuleKind: "outage_longer" | "sigma_over_tolerance" | "machine_lost" | "clock_off" | "disk_low" | "estimator_late" | "sensor_silent" | "id_conflict" | "recording_paused";
         /**
          * @description Where a reading comes from; also the last part of its Zenoh key and the name of its log file.
          * @enum {string}

@@ -320,6 +320,8 @@ export const de: Text = {
       disk_low: "Platte fast voll",
       estimator_late: "Schätzung verspätet",
       sensor_silent: "Sensor stumm",
+      id_conflict: "eine Kennung, zwei Maschinen",
+      recording_paused: "keine Aufzeichnung",
     },
   },
   account: {

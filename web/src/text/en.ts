@@ -319,6 +319,8 @@ export const en = {
       disk_low: "disk nearly full",
       estimator_late: "estimate late",
       sensor_silent: "sensor silent",
+      id_conflict: "one id, two machines",
+      recording_paused: "nothing recorded",
     },
   },
   account: {
