@@ -118,7 +118,9 @@ impl SmallSite {
             loop {
                 let told = get(self.address, "/api/v1/alerts?rule=recording_paused").await.json();
                 let alert = &told["alerts"][0];
-                if alert["state"] == state && alert["message"].as_str().is_some_and(|m| m.starts_with(message)) {
+                if alert["state"] == state
+                    && alert["message"].as_str().is_some_and(|m| m.starts_with(message))
+                {
                     return;
                 }
                 tokio::time::sleep(Duration::from_millis(50)).await;

@@ -322,7 +322,10 @@ mod tests {
     async fn job_that_panics_has_failed_and_no_more() {
         let outcome = ending(async { panic!("of a test") }).await;
         assert!(outcome.result.unwrap_err().contains("panicked"));
-        assert_eq!(ending(async { Outcome::failed("no answer".to_owned()) }).await.result.unwrap_err(), "no answer");
+        assert_eq!(
+            ending(async { Outcome::failed("no answer".to_owned()) }).await.result.unwrap_err(),
+            "no answer"
+        );
     }
 
     #[test]
