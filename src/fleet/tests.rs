@@ -510,3 +510,26 @@ fn clock_that_is_off_by_seconds_or_by_years_raises_an_alert_that_says_by_how_muc
         assert_eq!(presence(&mut fleet, at(0.1)), Presence::Online, "it is as young as when it came");
     }
 }
+
+#[test]
+fn last_hour_of_a_machine_that_went_is_over_an_hour_later() {
+    let (mut fleet, mut past, mut trails) = (fleet(), Past::default(), Trails::default());
+    fleet.announce("a", BOOT, at(0.0));
+    for second in 0..4_u32 {
+        let now = at(f64::from(second));
+        send_health(&mut fleet, u64::from(second), health(Mode::Main, GnssState::Fixed), now);
+        send_pose(&mut fleet, u64::from(second), BOOT, now);
+        fleet.advance(now);
+        let view = fleet.view(now);
+        past.observe(&view);
+        trails.observe(&view);
+    }
+    let known = |now| (past.points("a", None, now).len(), trails.points("a", None, 100, now).0.len());
+    assert_eq!(known(at(3.0)), (4, 4));
+    assert_eq!(known(at(3_601.5)), (2, 2), "what is older than an hour is not told");
+    assert_eq!(known(at(90_000.0)), (0, 0));
+    let since = Some(at(1.0));
+    assert_eq!(past.points("a", since, at(3.0)).len(), 2);
+    let (first, more) = trails.points("a", since, 1, at(3.0));
+    assert_eq!((first.len(), more), (1, true));
+}
