@@ -216,6 +216,12 @@ impl Machine {
         let of_this_boot = |boot: Option<u64>| boot.is_some() && boot == self.boot;
         let pose = self.pose.as_ref().filter(|pose| of_this_boot(pose.boot));
         let report = self.report.as_ref().filter(|report| of_this_boot(report.boot));
+        if pose.is_none() && !self.retired.is_empty() {
+            let heard = report.map_or(self.boot_since, |report| report.at.max(self.boot_since));
+            if now <= heard + HEALTH_AGE_MAX {
+                return (Presence::Restarted, self.boot_since.min(now));
+            }
+        }
         let initializing = report.is_some_and(|report| report.value.health.mode == Mode::Initializing);
         let fresh_until = match pose {
             Some(pose) if !initializing => Some(pose.at + self.pose_age_max()),

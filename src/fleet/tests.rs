@@ -154,13 +154,51 @@ fn restart_is_a_new_boot_and_the_old_ones_ghost_does_not_matter() {
     send_pose(&mut fleet, 502, BOOT, at(0.2));
     // Killed and started again before the lease of the old link ended.
     fleet.announce("a", 2, at(0.3));
-    assert_eq!(view(&mut fleet, at(0.3)).presence, Presence::Stale, "the new boot has said nothing yet");
+    let restarted = view(&mut fleet, at(0.3));
+    assert_eq!((restarted.presence, restarted.presence_since), (Presence::Restarted, UtcTime(at(0.3))));
     assert_eq!(send_pose(&mut fleet, 0, 2, at(0.4)), Receipt::Accepted);
     assert_eq!(send_pose(&mut fleet, 503, BOOT, at(0.45)), Receipt::OldBoot);
     fleet.withdraw("a", BOOT, at(0.5));
     let restarted = view(&mut fleet, at(0.5));
     assert_eq!((restarted.presence, restarted.boot.as_str()), (Presence::Online, "0000000000000002"));
     assert_eq!((restarted.link.received, restarted.link.missed, restarted.link.refused), (3, 1, 1));
+}
+
+#[test]
+fn restarted_is_said_from_the_new_boot_to_its_first_pose_as_long_as_it_is_heard() {
+    let mut fleet = fleet();
+    fleet.announce("a", BOOT, at(0.0));
+    send_health(&mut fleet, 0, health(Mode::Initializing, GnssState::Silent), at(0.0));
+    assert_eq!(presence(&mut fleet, at(0.1)), Presence::Online, "a machine that is met is not restarted");
+    send_pose(&mut fleet, 0, BOOT, at(1.0));
+    fleet.withdraw("a", BOOT, at(2.0));
+    assert_eq!(presence(&mut fleet, at(3.0)), Presence::Lost);
+    fleet.announce("a", 2, at(10.0));
+    let restarted = view(&mut fleet, at(12.0));
+    assert_eq!((restarted.presence, restarted.presence_since), (Presence::Restarted, UtcTime(at(10.0))));
+    assert_eq!((restarted.state_word.as_str(), restarted.severity), ("RESTARTED 0:02", Severity::Warning));
+    assert!(restarted.pose.expect("the last one").age_s > 10.0);
+    // It has said nothing at all, and then that it stands and waits.
+    let silent = view(&mut fleet, at(12.6));
+    assert_eq!((silent.presence, silent.severity), (Presence::Stale, Severity::Bad));
+    let waits = report(health(Mode::Initializing, GnssState::Silent));
+    for second in 13..60_u32 {
+        let now = at(f64::from(second));
+        let sequence = u64::from(second - 13);
+        assert_eq!(fleet.receive("a", Topic::Health, &publication(sequence, 2, now), now), Receipt::Accepted);
+        fleet.report("a", waits.clone(), now);
+        let view = view(&mut fleet, now);
+        assert_eq!((view.presence, view.presence_since), (Presence::Restarted, UtcTime(at(10.0))));
+    }
+    assert_eq!(view(&mut fleet, at(59.0)).state_word, "RESTARTED 0:49: two seconds of standstill");
+    assert_eq!(send_pose(&mut fleet, 0, 2, at(60.0)), Receipt::Accepted);
+    let online = view(&mut fleet, at(60.0));
+    assert_eq!((online.presence, online.presence_since), (Presence::Online, UtcTime(at(60.0))));
+    // From then on it is as any other: also when it starts its estimator anew, or is not heard.
+    assert_eq!(presence(&mut fleet, at(63.0)), Presence::Stale);
+    fleet.withdraw("a", 2, at(64.0));
+    fleet.announce("a", 2, at(65.0));
+    assert_eq!(presence(&mut fleet, at(65.0)), Presence::Stale, "a link that is back is no restart");
 }
 
 #[test]

@@ -53,7 +53,7 @@ fn of_machine(machine: &MachineView, fleet: &FleetView, tolerance_m: f64, into: 
         let subject = Subject { rule, machine: Some(id.clone()), part: part.map(str::to_owned) };
         into.push(Observation { subject, value, message });
     };
-    let away = machine.presence != Presence::Online;
+    let away = !machine.presence.is_heard();
     let away_s = fleet.time.0.seconds_since(machine.presence_since.0).max(0.0);
     let word = if machine.presence == Presence::Lost { "is not connected" } else { "says nothing new" };
     add(RuleKind::MachineLost, None, Some(if away { away_s } else { 0.0 }), format!("{id} {word}"));
@@ -70,7 +70,7 @@ fn of_machine(machine: &MachineView, fleet: &FleetView, tolerance_m: f64, into: 
     let message = format!("{id} is without GNSS ({cause}) for {outage_s:.0} s");
     add(RuleKind::OutageLonger, None, health.map(|_| outage_s), message);
 
-    let pose = machine.pose.as_ref().filter(|_| !away);
+    let pose = machine.pose.as_ref().filter(|_| machine.presence == Presence::Online);
     let sigma_m = pose.map(|pose| pose.ellipse95.semi_major_m / SIGMAS_95);
     let message = format!(
         "{id}: one sigma of the position is {:.1} cm, the site tolerates {:.1} cm",
