@@ -2207,6 +2207,14 @@ export interface components {
         "aemp.EquipmentHeader": {
             /** @description The machine's id. */
             EquipmentID: string;
+            /** @description Likewise. */
+            Model?: string | null;
+            /** @description Its maker, if the site file says so. */
+            OEMName?: string | null;
+            /** @description Product identification number, if the site file says so. */
+            PIN?: string | null;
+            /** @description Its maker's number, if the site file says so. */
+            SerialNumber?: string | null;
         };
         /** @description A page of the fleet, by the names of ISO/TS 15143-3. */
         "aemp.Fleet": {
@@ -2369,6 +2377,15 @@ export interface components {
         TooMany: {
             headers: {
                 "Retry-After"?: string;
+                [name: string]: unknown;
+            };
+            content: {
+                "application/problem+json": components["schemas"]["Problem"];
+            };
+        };
+        /** @description The body did not come in time */
+        TooSlow: {
+            headers: {
                 [name: string]: unknown;
             };
             content: {
@@ -2632,6 +2649,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            408: components["responses"]["TooSlow"];
             409: {
                 headers: {
                     [name: string]: unknown;
@@ -3007,6 +3025,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            408: components["responses"]["TooSlow"];
             /** @description There are no accounts */
             409: {
                 headers: {
@@ -3240,6 +3259,7 @@ export interface operations {
             400: components["responses"]["Malformed"];
             401: components["responses"]["Unknown"];
             403: components["responses"]["Forbidden"];
+            408: components["responses"]["TooSlow"];
             /** @description It was changed since */
             412: {
                 headers: {
@@ -3341,6 +3361,7 @@ export interface operations {
             };
             401: components["responses"]["Unknown"];
             403: components["responses"]["Forbidden"];
+            408: components["responses"]["TooSlow"];
             409: {
                 headers: {
                     [name: string]: unknown;
@@ -3469,6 +3490,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            408: components["responses"]["TooSlow"];
             413: components["responses"]["TooLarge"];
             415: {
                 headers: {
@@ -3931,6 +3953,7 @@ export interface operations {
                 };
             };
             403: components["responses"]["Forbidden"];
+            408: components["responses"]["TooSlow"];
             413: components["responses"]["TooLarge"];
             415: components["responses"]["WrongType"];
             421: components["responses"]["Misdirected"];
@@ -4031,6 +4054,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            408: components["responses"]["TooSlow"];
             /** @description There are no accounts */
             409: {
                 headers: {
@@ -4136,6 +4160,7 @@ export interface operations {
             400: components["responses"]["Malformed"];
             401: components["responses"]["Unknown"];
             403: components["responses"]["Forbidden"];
+            408: components["responses"]["TooSlow"];
             /** @description The name is taken, or there are no accounts yet: the first is made on the command line */
             409: {
                 headers: {
@@ -4233,6 +4258,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            408: components["responses"]["TooSlow"];
             /** @description It is the only admin */
             409: {
                 headers: {
