@@ -77,7 +77,6 @@ pub enum Outcome {
     /// A configuration file was found bad.
     BadConfiguration,
     /// Somebody ended it before it was done.
-    #[cfg_attr(not(feature = "shells"), expect(dead_code, reason = "others are ended by the signal itself"))]
     Interrupted,
 }
 
