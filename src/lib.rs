@@ -7,6 +7,8 @@ pub mod baselines;
 pub mod batch;
 pub mod cli;
 pub mod config;
+#[cfg(feature = "shells")]
+pub mod database;
 pub mod estimator;
 pub mod evaluate;
 pub mod export;

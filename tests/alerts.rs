@@ -224,3 +224,29 @@ async fn test_goes_through_all_channels_and_says_what_each_said() {
     let message = Site::start(&missing).await.err().expect("refused").to_string();
     assert!(message.contains("alerts.webhook.secret_file") && message.contains("no.secret"), "{message}");
 }
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn second_machine_with_one_id_is_refused_with_an_alert() {
+    let folder = Folder::new("alerts-rival");
+    let site = Site::start(&folder.config()).await.expect("starts");
+    let address = site.address();
+    let mut first = Machine::connect("a", 1, &site.endpoints()[0]).await;
+    first.speak_until(async || get(address, "/api/v1/machines/a").await.json()["presence"] == "online").await;
+    assert_eq!(list(address, "rule=id_conflict").await, Vec::<Value>::new());
+    let mut second = Machine::connect("a", 2, &site.endpoints()[0]).await;
+    let alerts = async |state: &str| list(address, &format!("rule=id_conflict&state={state}")).await;
+    let raised = async || {
+        first.pose().await;
+        alerts("active").await.len() == 1
+    };
+    second.speak_until(raised).await;
+    let alert = alerts("active").await[0].clone();
+    assert_eq!((&alert["machine"], &alert["severity"]), (&"a".into(), &"critical".into()), "{alert}");
+    let shown = get(address, "/api/v1/machines/a").await.json();
+    assert_eq!(shown["boot"], second.boot.to_string(), "the first one is refused");
+    assert!(shown["link"]["refused"].as_u64() > Some(0), "{shown}");
+    // It is switched off: the other one is heard, and nothing is wrong any more.
+    drop(first);
+    second.speak_until(async || alerts("cleared_unacknowledged").await.len() == 1).await;
+    site.stop().await;
+}

@@ -1,5 +1,6 @@
 //! Receivers behind TLS: told if somebody we believe has signed their certificates for their names, and only then.
 #![cfg(feature = "shells")]
+#![allow(clippy::disallowed_methods, reason = "tests play receivers, who have clocks")]
 
 #[path = "support/authority.rs"]
 mod authority;
@@ -7,7 +8,6 @@ mod authority;
 #[allow(dead_code, reason = "shared with tests that use more of it")]
 mod receivers;
 #[path = "support/site.rs"]
-#[allow(dead_code, reason = "shared with tests that use more of it")]
 mod support;
 
 use std::path::Path;

@@ -63,6 +63,46 @@ fn files_of(folder: &Folder, id: &str) -> Vec<PathBuf> {
     files
 }
 
+/// Bytes that cannot be compressed, so that it is known how many go to the disk.
+fn noise(bytes: usize) -> Vec<u8> {
+    let mut state = 0x9e37_79b9_7f4a_7c15_u64;
+    let mut next = || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 56) as u8
+    };
+    (0..bytes).map(|_| next()).collect()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn file_that_is_large_enough_is_followed_by_another_and_nothing_is_lost_between_them() {
+    const EVENT_BYTES: usize = 40_000;
+    let folder = Folder::new("large");
+    let mut config = folder.config();
+    config.record.file_max_mb = 1.0;
+    let site = Site::start(&config).await.expect("starts");
+    let address = site.address();
+    let mut machine = Machine::connect("a", 1, &site.endpoints()[0]).await;
+    let id = running(address).await;
+    let noise = noise(EVENT_BYTES);
+    wait_until("three files are full", async || {
+        machine.put(Topic::Event, noise.clone()).await;
+        session(address, &id).await["files"].as_u64() > Some(3)
+    })
+    .await;
+    site.stop().await;
+    let files = files_of(&folder, &id);
+    let (mut checker, mut messages) = (Checker::default(), 0);
+    for (number, file) in files.iter().enumerate() {
+        messages += check(&mut checker, file);
+        let bytes = std::fs::metadata(file).expect("a file").len();
+        // Looked at some times a second: what comes meanwhile, and waits for the next sync, is in it, too.
+        let is_full = (1_000_000..4_000_000).contains(&bytes);
+        assert!(is_full || number + 1 == files.len(), "{bytes} bytes in {}", file.display());
+    }
+    assert!(files.len() > 3 && messages >= 3 * 1_000_000 / EVENT_BYTES as u64, "{messages} in {files:?}");
+    assert_eq!((checker.missing(), checker.repeated()), (vec![], vec![]));
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn session_of_many_files_is_taken_along_in_one_piece_or_file_by_file() {
     let folder = Folder::new("rolled");

@@ -112,6 +112,23 @@ impl SmallSite {
         waited.await.unwrap_or_else(|_| panic!("never {state}"))
     }
 
+    /// Waits for the alert of a pause.
+    async fn alert(&self, state: &str, message: &str) {
+        let waited = tokio::time::timeout(PATIENCE, async {
+            loop {
+                let told = get(self.address, "/api/v1/alerts?rule=recording_paused").await.json();
+                let alert = &told["alerts"][0];
+                if alert["state"] == state
+                    && alert["message"].as_str().is_some_and(|m| m.starts_with(message))
+                {
+                    return;
+                }
+                tokio::time::sleep(Duration::from_millis(50)).await;
+            }
+        });
+        waited.await.unwrap_or_else(|_| panic!("no alert that is {state} and says {message}"));
+    }
+
     fn filler(&self) -> PathBuf {
         self.disk.join("filler")
     }
@@ -195,6 +212,7 @@ async fn recording_pauses_before_the_disk_is_full_and_goes_on_when_there_is_room
     let ready = get(site.address, "/readyz").await;
     assert_eq!(ready.status, 503);
     assert!(String::from_utf8_lossy(&ready.body).contains("nothing is recorded: the disk is nearly full"));
+    site.alert("active", "nothing is recorded: the disk is nearly full").await;
     let refused = exchange(site.address, "POST", "/api/v1/sessions", &[]).await;
     assert_eq!((refused.status, refused.header("content-type")), (507, "application/problem+json"));
     // What was recorded is whole already, to the last message.
@@ -214,6 +232,7 @@ async fn recording_pauses_before_the_disk_is_full_and_goes_on_when_there_is_room
     }
     assert_eq!(get(site.address, "/readyz").await.status, 200);
     tokio::time::sleep(Duration::from_millis(1_500)).await;
+    site.alert("cleared_unacknowledged", "nothing is recorded: the disk is nearly full").await;
     let stopped = exchange(site.address, "POST", &format!("/api/v1/sessions/{id}/stop"), &[]).await;
     assert_eq!((stopped.status, &stopped.json()["state"]), (200, &json!("complete")));
     let mut checker = Checker::default();
@@ -247,6 +266,7 @@ async fn disk_that_is_full_all_at_once_leaves_whole_files_and_recording_goes_on_
         let paused = speak_until(&site, &mut machine, &noise, "paused").await;
         let why = paused["why"].as_str().expect("words");
         assert!(why.contains("the disk is full"), "{why}");
+        site.alert("active", "nothing is recorded: the disk is full").await;
         // While the disk is full, what is on it is whole.
         let files = site.check(&id, &mut Checker::default());
         assert_eq!(files.len(), round + 1, "{files:?}");

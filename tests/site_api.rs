@@ -166,6 +166,45 @@ async fn machine_without_its_token_is_lost_within_two_seconds_and_comes_back() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn machine_that_is_started_anew_is_restarted_until_it_says_where_it_is() {
+    let folder = Folder::new("restarted");
+    let site = Site::start(&folder.config()).await.expect("starts");
+    let address = site.address();
+    let endpoint = site.endpoints()[0].clone();
+    let mut machine = Machine::connect("a", 1, &endpoint).await;
+    machine.speak_until(async || is_online(address).await).await;
+    // It is killed: its token goes with its session, and another boot comes.
+    machine.session.close().await.expect("closes");
+    let mut machine = Machine::connect("a", 2, &endpoint).await;
+    let view = async || get(address, "/api/v1/machines/a").await.json();
+    let deadline = std::time::Instant::now() + support::PATIENCE;
+    let restarted = loop {
+        machine.health().await;
+        let view = view().await;
+        if view["presence"] == "restarted" {
+            break view;
+        }
+        assert!(std::time::Instant::now() < deadline, "{view}");
+        tokio::time::sleep(std::time::Duration::from_millis(20)).await;
+    };
+    assert_eq!((&restarted["boot"], &restarted["severity"]), (&"0000000000000002".into(), &"warning".into()));
+    assert!(
+        restarted["state_word"].as_str().is_some_and(|word| word.starts_with("RESTARTED 0:")),
+        "{restarted}"
+    );
+    assert!(
+        restarted["pose"]["age_s"].as_f64().is_some_and(|age_s| age_s > 0.0),
+        "the last one: {restarted}"
+    );
+    // It is there: who watches machines by Prometheus need not be woken.
+    let metrics = String::from_utf8(get(address, "/metrics").await.body).expect("text");
+    assert!(metrics.contains("holdfast_machine_up{machine=\"a\"} 1"), "{}", metrics);
+    machine.speak_until(async || is_online(address).await).await;
+    assert_eq!(view().await["state_word"], "RTK FIXED");
+    site.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn everything_that_arrives_is_recorded_and_can_be_downloaded() {
     let folder = Folder::new("record");
     let site = Site::start(&folder.config()).await.expect("starts");

@@ -63,6 +63,13 @@ async fn session_is_exported_as_the_command_does_it() {
     writer.write(&event).expect("written");
     writer.finish().expect("finished");
 
+    // And one of which the end is torn off.
+    let torn = "20261123T140000Z";
+    std::fs::create_dir_all(sessions.join(torn)).expect("made");
+    let mut bytes = std::fs::read(&files[0]).expect("read");
+    bytes.truncate(bytes.len() / 2);
+    std::fs::write(sessions.join(torn).join(format!("{torn}-0000.mcap")), bytes).expect("written");
+
     let site = Site::start(&config).await.expect("starts");
     let address = site.address();
     let out = empty_folder("site-export");
@@ -84,6 +91,7 @@ async fn session_is_exported_as_the_command_does_it() {
                 assert_eq!((answer.status, answer.header("content-type")), (200, media_type), "{said}");
                 assert!(answer.body == std::fs::read(&file).expect("written"), "{said}: other bytes");
                 assert!(answer.body.len() > 1_000, "{said}: {} bytes", answer.body.len());
+                assert_eq!(answer.header("holdfast-faults"), "", "{said}");
                 let disposition = answer.header("content-disposition");
                 assert!(disposition.contains(ID) && disposition.contains(&format!(".{format}\"")), "{said}");
             } else {
@@ -120,8 +128,14 @@ async fn session_is_exported_as_the_command_does_it() {
         assert!(answer.json()["detail"].as_str().is_some_and(|detail| detail.contains(words)), "{said}");
     }
     assert_eq!(get(address, &format!("/api/v1/sessions/{nowhere}/export?format=csv")).await.status, 200);
+    let part = get(address, &format!("/api/v1/sessions/{torn}/export?format=csv&machine=yard-1")).await;
+    let faults = part.header("holdfast-faults");
+    assert_eq!(part.status, 200);
+    assert!(faults.starts_with(&format!("{torn}-0000.mcap: bytes that are torn off")), "{faults}");
+    assert!(!faults.contains('/'), "{faults}");
     let openapi = get(address, "/api/openapi.json").await.json();
     let documented = &openapi["paths"]["/api/v1/sessions/{id}/export"]["get"];
+    assert!(documented["responses"]["200"]["headers"]["Holdfast-Faults"].is_object(), "{documented}");
     for (_, media_type) in TYPES {
         let name = media_type.split(';').next().expect("a name");
         assert!(documented["responses"]["200"]["content"][name].is_object(), "{name} in {documented}");

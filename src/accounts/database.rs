@@ -1,17 +1,12 @@
 //! The tables and what is asked of them.
 
 use std::path::Path;
-use std::time::Duration;
 
-use rusqlite::{Connection, OptionalExtension as _, Result, Row, TransactionBehavior, params};
+use rusqlite::{Connection, OptionalExtension as _, Result, Row, params};
 
 use super::{Change, Role, SignInLimits, Token, User};
+use crate::database::{Durability, Schema};
 use crate::time::Stamp;
-
-/// Counts the changes of the tables.
-const VERSION: i64 = 1;
-/// How long one waits for the other process to finish writing.
-const PATIENCE: Duration = Duration::from_secs(5);
 
 const TABLES: &str = "
     CREATE TABLE users (
@@ -47,6 +42,9 @@ const TABLES: &str = "
     ) STRICT;
 ";
 
+/// A revoked token stays revoked after a power cut.
+const SCHEMA: Schema = Schema { tables: TABLES, version: 1, durability: Durability::Everything };
+
 /// What became of a change to an account.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Settled {
@@ -73,25 +71,7 @@ pub(super) struct Database {
 impl Database {
     /// Opens the file, which may be empty.
     pub fn open(path: &Path) -> Result<Self> {
-        let mut connection = Connection::open(path)?;
-        connection.busy_timeout(PATIENCE)?;
-        connection.pragma_update(None, "journal_mode", "WAL")?;
-        // A revoked token must stay revoked after a power cut.
-        connection.pragma_update(None, "synchronous", "FULL")?;
-        connection.pragma_update(None, "foreign_keys", true)?;
-        let made = connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
-        let version: i64 = made.query_row("PRAGMA user_version", [], |row| row.get(0))?;
-        let tables: i64 = made.query_row("SELECT count(*) FROM sqlite_schema", [], |row| row.get(0))?;
-        match (version, tables) {
-            (VERSION, _) => {}
-            (0, 0) => made.execute_batch(&format!("{TABLES} PRAGMA user_version = {VERSION};"))?,
-            _ => {
-                let message = format!("it is of version {version}, this program knows version {VERSION}");
-                return Err(rusqlite::Error::ToSqlConversionFailure(message.into()));
-            }
-        }
-        made.commit()?;
-        Ok(Self { connection })
+        Ok(Self { connection: SCHEMA.open(path)? })
     }
 
     pub fn has_users(&self) -> Result<bool> {

@@ -1,7 +1,7 @@
 //! The command line: one file a command, each a set of arguments and a function that runs it.
 //!
 //! Results go to stdout, talk goes to stderr. Exit codes: 0 done, 1 failed, 2 bad arguments or configuration,
-//! 3 finished but data was bad or lost.
+//! 3 finished but data was bad or lost, 130 interrupted.
 
 // A shell: here clocks, threads and waiting are allowed.
 #![allow(clippy::disallowed_methods)]
@@ -76,6 +76,8 @@ pub enum Outcome {
     DataWasBad,
     /// A configuration file was found bad.
     BadConfiguration,
+    /// Somebody ended it before it was done.
+    Interrupted,
 }
 
 /// Arguments that are well formed, but cannot be used: a file that is not there, a machine that is not in it.
@@ -122,6 +124,8 @@ pub fn main() -> ExitCode {
         Ok(Outcome::Done) => ExitCode::SUCCESS,
         Ok(Outcome::BadConfiguration) => ExitCode::from(2),
         Ok(Outcome::DataWasBad) => ExitCode::from(3),
+        // As shells say it of whom Ctrl-C has ended.
+        Ok(Outcome::Interrupted) => ExitCode::from(130),
         Err(error) => {
             eprintln!("holdfast: {error}");
             exit_code(error.as_ref())

@@ -33,8 +33,8 @@ mod play;
 /// each second of a machine; the other ways read it as they go. Give it a site of its own, with ids like those that
 /// really work elsewhere it would be mistaken for them.
 ///
-/// Exit codes: 0 done, 1 something differs or failed, or the site went away, 2 bad arguments or machine file, 3 done, but some of it could
-/// not be run, checked or read.
+/// Exit codes: 0 done, 1 something differs or failed, or the site went away, 2 bad arguments or machine file, 3 done,
+/// but some of it could not be run, checked, read or sent, 130 interrupted.
 #[derive(Debug, clap::Args)]
 pub struct Arguments {
     /// Recordings, or the folder of a session

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 use std::error::Error;
+use std::fmt;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -11,7 +12,7 @@ use crate::config::{self, Machine};
 use crate::estimator::Options;
 use crate::import::{Source, log_folder_bytes, read_log_folder_showing, read_recordings, source_of};
 use crate::record::{Places, RecordedBoot, Step};
-use crate::sensors::Arrival;
+use crate::sensors::{Arrival, Sensor};
 use crate::time::Span;
 use crate::wire::BootId;
 
@@ -37,10 +38,36 @@ pub struct Run {
 pub struct Runs {
     /// By machine, oldest first.
     pub runs: Vec<Run>,
-    /// What could not be read or used, in words.
-    pub lost: Vec<String>,
+    /// What could not be read or used.
+    pub lost: Vec<Loss>,
     /// The recordings; none of a log folder.
     pub files: Vec<PathBuf>,
+}
+
+/// What of a session could not be read or used.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Loss {
+    /// Whose; `None` if nobody can tell.
+    pub id: Option<String>,
+    /// In words, with the name of the run.
+    pub what: String,
+}
+
+impl fmt::Display for Loss {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(&self.what)
+    }
+}
+
+impl Loss {
+    fn of(id: &str, what: String) -> Self {
+        Self { id: Some(id.to_owned()), what }
+    }
+
+    /// Whether it is a loss of this machine, or may be.
+    pub fn concerns(&self, id: &str) -> bool {
+        self.id.as_deref().is_none_or(|of| of == id)
+    }
 }
 
 /// A span on the command line.
@@ -95,7 +122,8 @@ fn read_session(files: &[PathBuf], path: &Path, machine: Option<&Machine>) -> Re
     }
     let mut found = Runs { runs: Vec::new(), lost: Vec::new(), files: files.to_vec() };
     if places.lost_bytes() > 0 {
-        found.lost.push(format!("{} bytes of the recording could not be read", places.lost_bytes()));
+        let what = format!("{} bytes of the recording could not be read", places.lost_bytes());
+        found.lost.push(Loss { id: None, what });
     }
     for id in ids {
         let boots = places.boots(id)?;
@@ -106,7 +134,9 @@ fn read_session(files: &[PathBuf], path: &Path, machine: Option<&Machine>) -> Re
         }
         if let (true, Some(machine)) = (found.runs.len() == before.0, machine) {
             // No journal says in which order they were taken: by their arrival.
-            let readings = read_recordings(files, id, |_| {})?;
+            let mut bar = Progress::new(&format!("{id}: reading"), Unit::Bytes);
+            let readings = read_recordings(files, id, |bytes| bar.show(bytes as f64, whole as f64))?;
+            bar.finish();
             let arrivals = readings.arrivals.into_iter().collect::<Result<Vec<_>, _>>()?;
             if !arrivals.is_empty() {
                 found.lost.truncate(before.1);
@@ -115,7 +145,8 @@ fn read_session(files: &[PathBuf], path: &Path, machine: Option<&Machine>) -> Re
         }
     }
     if found.runs.is_empty() {
-        let why = if found.lost.is_empty() { String::new() } else { format!(": {}", found.lost.join("; ")) };
+        let lost: Vec<String> = found.lost.iter().map(Loss::to_string).collect();
+        let why = if lost.is_empty() { String::new() } else { format!(": {}", lost.join("; ")) };
         let advice = if machine.is_none() { "; give the machine file with --machine" } else { "" };
         let message = format!("{}: there are no readings that can be run again{why}{advice}", path.display());
         return Err(message.into());
@@ -134,16 +165,25 @@ fn read_boot(
     let boot_name = boot.boot().map_or_else(|| "not told".to_owned(), |boot| boot.to_string());
     let name = if several { format!("{id} boot {boot_name}") } else { id.to_owned() };
     let (mut arrivals, mut unseen) = (Vec::new(), BTreeSet::new());
+    let mut bar = Progress::new(&format!("{name}: taking in"), Unit::Count("samples"));
+    let (whole, mut samples) = (boot.samples() as f64, 0_u64);
     while let Some(step) = boot.next_step()? {
         if let Step::Reading { arrival, seen } = step {
+            if arrival.reading.sensor() == Sensor::Imu {
+                samples += 1;
+                if samples.is_multiple_of(1_024) {
+                    bar.show(samples as f64, whole);
+                }
+            }
             if !seen {
                 unseen.insert(arrivals.len() as u64);
             }
             arrivals.push(arrival);
         }
     }
+    bar.finish();
     if let Some(gap) = boot.gap() {
-        found.lost.push(format!("{name}: {gap}"));
+        found.lost.push(Loss::of(id, format!("{name}: {gap}")));
     }
     if arrivals.is_empty() {
         return Ok(());
@@ -156,7 +196,7 @@ fn read_boot(
         }
         (None, None) => {
             let advice = "the recording does not hold its machine file: give it with --machine";
-            found.lost.push(format!("{name}: {advice}"));
+            found.lost.push(Loss::of(id, format!("{name}: {advice}")));
             return Ok(());
         }
     };
@@ -218,5 +258,20 @@ impl Run {
     /// Where its files go under a folder.
     pub fn folder(&self, out: &Path) -> PathBuf {
         if self.in_session { out.join(self.name.replace(' ', "-")) } else { out.to_owned() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn loss_of_one_machine_is_not_that_of_another_whose_id_begins_alike() {
+        let loss = Loss::of("walker-10", "walker-10: the journal ends".to_owned());
+        assert!(loss.concerns("walker-10") && !loss.concerns("walker-1"));
+        let loss = Loss::of("walker-1", "walker-1 boot 00000000000000ab: the journal ends".to_owned());
+        assert!(loss.concerns("walker-1") && !loss.concerns("walker-10"));
+        let of_the_file = Loss { id: None, what: "5 bytes of the recording could not be read".to_owned() };
+        assert!(of_the_file.concerns("walker-1") && of_the_file.concerns("walker-10"));
     }
 }

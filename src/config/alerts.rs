@@ -121,6 +121,12 @@ rules! {
     /// A sensor that spoke says nothing for longer.
     SensorSilent / sensor_silent of SensorSilent, Warning:
         longer_than_s = 3.0, clear_s = 1.5, after 0.0, clear after 2.0;
+    /// Two machines have said for longer that they have the same id.
+    IdConflict / id_conflict of IdConflict, Critical:
+        longer_than_s = 0.0, clear_s = 0.0, after 0.0, clear after 5.0;
+    /// What should be recorded was not for longer, whatever the cause.
+    RecordingPaused / recording_paused of RecordingPaused, Critical:
+        longer_than_s = 0.0, clear_s = 0.0, after 0.0, clear after 5.0;
 }
 
 /// An address that is told by HTTP.

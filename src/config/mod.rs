@@ -16,8 +16,8 @@ use std::path::{Path, PathBuf};
 use serde::de::DeserializeOwned;
 
 pub use alerts::{
-    Alerts, ClockOff, DiskLow, EstimatorLate, MachineLost, Mail, MailTls, OutageLonger, SensorSilent,
-    SigmaOverTolerance, Webhook,
+    Alerts, ClockOff, DiskLow, EstimatorLate, IdConflict, MachineLost, Mail, MailTls, OutageLonger,
+    RecordingPaused, SensorSilent, SigmaOverTolerance, Webhook,
 };
 pub use endpoint::endpoint;
 pub use machine::{

@@ -468,7 +468,7 @@ mod tests {
             "{MINIMAL}[alerts.disk_low]\nenabled = false\n[alerts.outage_longer]\nlonger_than_s = 5\n"
         );
         let rules = parse::<Site>(&off, Path::new("s.toml")).expect("valid").alerts.rules();
-        assert_eq!((rules.len(), rules[0].raise), (6, 5.0));
+        assert_eq!((rules.len(), rules[0].raise), (8, 5.0));
     }
 
     #[test]

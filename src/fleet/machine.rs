@@ -47,8 +47,8 @@ pub(super) struct Machine {
     pose_rate: Rate,
     pose_interval: Interval,
     clock_offset: ClockOffset,
-    /// When another machine with this id last spoke, and when that was last told.
-    rival: Option<Stamp>,
+    /// Since when another machine with this id speaks, when it last did, and when that was last told.
+    rival: Option<(Stamp, Stamp)>,
     rival_told: Option<Stamp>,
     refused: u64,
     pub monitor: Monitor,
@@ -133,12 +133,18 @@ impl Machine {
         if !self.tokens.contains(&boot) || now - self.boot_since < RIVAL_AFTER {
             return Receipt::OldBoot;
         }
-        self.rival = Some(now);
+        let since = self.rival_at(now).unwrap_or(now);
+        self.rival = Some((since, now));
         if self.rival_told.is_some_and(|told| now - told < RIVAL_TOLD_EVERY) {
             return Receipt::OldBoot;
         }
         self.rival_told = Some(now);
         Receipt::Rival
+    }
+
+    /// Since when another machine has this id, too, if one has.
+    fn rival_at(&self, now: Stamp) -> Option<Stamp> {
+        self.rival.filter(|(_, spoke)| now - *spoke <= RIVAL_SHOWN_FOR).map(|(since, _)| since)
     }
 
     /// A pose older than this is old: by the machine's own pace if that is slow.
@@ -210,6 +216,12 @@ impl Machine {
         let of_this_boot = |boot: Option<u64>| boot.is_some() && boot == self.boot;
         let pose = self.pose.as_ref().filter(|pose| of_this_boot(pose.boot));
         let report = self.report.as_ref().filter(|report| of_this_boot(report.boot));
+        if pose.is_none() && !self.retired.is_empty() {
+            let heard = report.map_or(self.boot_since, |report| report.at.max(self.boot_since));
+            if now <= heard + HEALTH_AGE_MAX {
+                return (Presence::Restarted, self.boot_since.min(now));
+            }
+        }
         let initializing = report.is_some_and(|report| report.value.health.mode == Mode::Initializing);
         let fresh_until = match pose {
             Some(pose) if !initializing => Some(pose.at + self.pose_age_max()),
@@ -259,8 +271,8 @@ impl Machine {
             state_word = format!("WRONG ORIGIN: {origin_off_m:.3} m from the site's");
             severity = Severity::Bad;
         }
-        let rival = self.rival.is_some_and(|spoke| now - spoke <= RIVAL_SHOWN_FOR);
-        if self.presence != Presence::Lost && rival {
+        let rival_since = self.rival_at(now);
+        if self.presence != Presence::Lost && rival_since.is_some() {
             state_word = "TWO MACHINES HAVE THIS ID".to_owned();
             severity = Severity::Bad;
         }
@@ -289,6 +301,7 @@ impl Machine {
                 gaps_lost: self.recording.lost,
                 clock_offset_s: self.clock_offset.seconds(),
             },
+            id_conflict_s: rival_since.map(|since| now.seconds_since(since).max(0.0)),
         }
     }
 }

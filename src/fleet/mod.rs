@@ -14,8 +14,12 @@
 //! *Data* is the newest pose, which may be 0.5 s old, or three times the usual time between two poses if that
 //! is longer; as long as the estimator has not started (no pose since
 //! boot, or the machine reports that it is initializing) it is the newest health, which may be 2.5 s old. A
-//! lost machine keeps its last values, and their ages grow. Telling the same thing twice changes nothing. A
-//! restart is a new boot id: counting starts anew, and what still arrives from the boot before is refused.
+//! lost machine keeps its last values, and their ages grow. Telling the same thing twice changes nothing.
+//!
+//! A restart is a new boot id: counting starts anew, and what still arrives from the boot before is refused. The
+//! machine is *restarted* from then on until the new boot says its first pose, as long as it is connected and its newest
+//! health, or its token, is at most 2.5 s old; with that pose it is online, without it stale or lost by the rule above.
+//! The boots before the site's own start are not known: a machine that is met for the first time is not restarted.
 
 mod alerts;
 mod link;
@@ -29,7 +33,7 @@ use std::collections::BTreeMap;
 
 pub use alerts::{
     Acknowledgement, AcknowledgementView, Alert, AlertRule, AlertSeverity, AlertState, AlertView, Alerts,
-    Observation, RuleKind, SiteState, Subject, Unacknowledged, observations, retry_after,
+    Observation, RuleKind, SiteState, Subject, Unacknowledged, Unrecorded, observations, retry_after,
 };
 pub use outages::{
     Budget, CELL_M, CauseTally, CellKey, CellTime, Change, CurrentOutage, DayStatistics, Ending,

@@ -154,13 +154,51 @@ fn restart_is_a_new_boot_and_the_old_ones_ghost_does_not_matter() {
     send_pose(&mut fleet, 502, BOOT, at(0.2));
     // Killed and started again before the lease of the old link ended.
     fleet.announce("a", 2, at(0.3));
-    assert_eq!(view(&mut fleet, at(0.3)).presence, Presence::Stale, "the new boot has said nothing yet");
+    let restarted = view(&mut fleet, at(0.3));
+    assert_eq!((restarted.presence, restarted.presence_since), (Presence::Restarted, UtcTime(at(0.3))));
     assert_eq!(send_pose(&mut fleet, 0, 2, at(0.4)), Receipt::Accepted);
     assert_eq!(send_pose(&mut fleet, 503, BOOT, at(0.45)), Receipt::OldBoot);
     fleet.withdraw("a", BOOT, at(0.5));
     let restarted = view(&mut fleet, at(0.5));
     assert_eq!((restarted.presence, restarted.boot.as_str()), (Presence::Online, "0000000000000002"));
     assert_eq!((restarted.link.received, restarted.link.missed, restarted.link.refused), (3, 1, 1));
+}
+
+#[test]
+fn restarted_is_said_from_the_new_boot_to_its_first_pose_as_long_as_it_is_heard() {
+    let mut fleet = fleet();
+    fleet.announce("a", BOOT, at(0.0));
+    send_health(&mut fleet, 0, health(Mode::Initializing, GnssState::Silent), at(0.0));
+    assert_eq!(presence(&mut fleet, at(0.1)), Presence::Online, "a machine that is met is not restarted");
+    send_pose(&mut fleet, 0, BOOT, at(1.0));
+    fleet.withdraw("a", BOOT, at(2.0));
+    assert_eq!(presence(&mut fleet, at(3.0)), Presence::Lost);
+    fleet.announce("a", 2, at(10.0));
+    let restarted = view(&mut fleet, at(12.0));
+    assert_eq!((restarted.presence, restarted.presence_since), (Presence::Restarted, UtcTime(at(10.0))));
+    assert_eq!((restarted.state_word.as_str(), restarted.severity), ("RESTARTED 0:02", Severity::Warning));
+    assert!(restarted.pose.expect("the last one").age_s > 10.0);
+    // It has said nothing at all, and then that it stands and waits.
+    let silent = view(&mut fleet, at(12.6));
+    assert_eq!((silent.presence, silent.severity), (Presence::Stale, Severity::Bad));
+    let waits = report(health(Mode::Initializing, GnssState::Silent));
+    for second in 13..60_u32 {
+        let now = at(f64::from(second));
+        let sequence = u64::from(second - 13);
+        assert_eq!(fleet.receive("a", Topic::Health, &publication(sequence, 2, now), now), Receipt::Accepted);
+        fleet.report("a", waits.clone(), now);
+        let view = view(&mut fleet, now);
+        assert_eq!((view.presence, view.presence_since), (Presence::Restarted, UtcTime(at(10.0))));
+    }
+    assert_eq!(view(&mut fleet, at(59.0)).state_word, "RESTARTED 0:49: two seconds of standstill");
+    assert_eq!(send_pose(&mut fleet, 0, 2, at(60.0)), Receipt::Accepted);
+    let online = view(&mut fleet, at(60.0));
+    assert_eq!((online.presence, online.presence_since), (Presence::Online, UtcTime(at(60.0))));
+    // From then on it is as any other: also when it starts its estimator anew, or is not heard.
+    assert_eq!(presence(&mut fleet, at(63.0)), Presence::Stale);
+    fleet.withdraw("a", 2, at(64.0));
+    fleet.announce("a", 2, at(65.0));
+    assert_eq!(presence(&mut fleet, at(65.0)), Presence::Stale, "a link that is back is no restart");
 }
 
 #[test]
@@ -413,8 +451,9 @@ fn observations_say_what_is_the_case_and_nothing_that_nobody_knows() {
     send_pose(&mut fleet, 0, BOOT, at(0.1));
     let observed = |fleet: &mut Fleet, seconds: f64| {
         fleet.advance(at(seconds));
-        let state = SiteState { disk_free_bytes: Some(7_500_000_000), tolerance_m: 0.05 };
-        let observations = observations(&fleet.view(at(seconds)), state);
+        let unrecorded = Some(Unrecorded { for_s: seconds, why: "the disk is full".to_owned() });
+        let state = SiteState { disk_free_bytes: Some(7_500_000_000), tolerance_m: 0.05, unrecorded };
+        let observations = observations(&fleet.view(at(seconds)), &state);
         move |rule: RuleKind| {
             let found = observations.iter().find(|observation| observation.subject.rule == rule);
             found.map(|found| (found.value.map(|value| (value * 1e3).round() / 1e3), found.message.clone()))
@@ -423,6 +462,8 @@ fn observations_say_what_is_the_case_and_nothing_that_nobody_knows() {
     let value = |found: Option<(Option<f64>, String)>| found.expect("watched").0;
     let now = observed(&mut fleet, 0.2);
     assert_eq!(value(now(RuleKind::DiskLow)), Some(7.5));
+    assert_eq!(now(RuleKind::RecordingPaused), Some((Some(0.2), "the disk is full".to_owned())));
+    assert_eq!(value(now(RuleKind::IdConflict)), Some(0.0));
     assert_eq!(value(now(RuleKind::MachineLost)), Some(0.0));
     let (outage_s, words) = now(RuleKind::OutageLonger).expect("watched");
     assert_eq!((outage_s, words.as_str()), (Some(30.2), "a is without GNSS (degraded) for 30 s"));
@@ -442,6 +483,70 @@ fn observations_say_what_is_the_case_and_nothing_that_nobody_knows() {
         assert_eq!(value(later(rule)), None, "{rule:?}");
     }
     assert!(later(RuleKind::SensorSilent).is_none());
+}
+
+/// Alerts of one rule that is broken above `raise`, and what it raises of machine `a`.
+fn watched(kind: RuleKind, raise: f64) -> Alerts {
+    let (after, clear_after) = (Span::default(), Span::from_millis(1_000));
+    let severity = AlertSeverity::Warning;
+    Alerts::new([AlertRule { kind, severity, raise, clear: raise / 2.0, after, clear_after }], Vec::new())
+}
+
+fn observed(alerts: &mut Alerts, fleet: &mut Fleet, now: Stamp) -> Vec<(AlertState, String)> {
+    fleet.advance(now);
+    let changed = alerts.observe(observations(&fleet.view(now), &SiteState::default()), now);
+    changed.into_iter().map(|alert| (alert.state, alert.message)).collect()
+}
+
+#[test]
+fn two_machines_with_one_id_raise_an_alert_until_one_of_them_is_silent() {
+    let (mut fleet, mut alerts) = (fleet(), watched(RuleKind::IdConflict, 0.0));
+    fleet.announce("a", BOOT, at(0.0));
+    send_pose(&mut fleet, 0, BOOT, at(0.1));
+    fleet.announce("a", BOOT + 1, at(0.2));
+    send_pose(&mut fleet, 0, BOOT + 1, at(0.3));
+    send_pose(&mut fleet, 1, BOOT, at(0.4));
+    assert_eq!(observed(&mut alerts, &mut fleet, at(0.5)), [], "a restart is no second machine");
+    let mut told = Vec::new();
+    for tenth in 14..60 {
+        let now = at(0.1 * f64::from(tenth));
+        send_pose(&mut fleet, tenth as u64, BOOT, now);
+        send_pose(&mut fleet, tenth as u64, BOOT + 1, now);
+        told.extend(observed(&mut alerts, &mut fleet, now));
+    }
+    let [(AlertState::Active, message)] = told.as_slice() else { panic!("{told:?}") };
+    assert!(message.starts_with("two machines say that they are a"), "{message}");
+    fleet.withdraw("a", BOOT, at(6.0));
+    let mut over = Vec::new();
+    for second in 6..12 {
+        over.extend(observed(&mut alerts, &mut fleet, at(f64::from(second))));
+    }
+    assert!(matches!(over[..], [(AlertState::ClearedUnacknowledged, _)]), "{over:?}");
+}
+
+#[test]
+fn clock_that_is_off_by_seconds_or_by_years_raises_an_alert_that_says_by_how_much() {
+    const YEAR_S: f64 = 365.25 * 86_400.0;
+    for (ahead_s, words) in [
+        (3.0, Some("a: its clock is +3.000 s off the site's")),
+        (-3.0, Some("a: its clock is -3.000 s off the site's")),
+        (20.0 * YEAR_S, Some("a: its clock is +631152000.000 s off the site's")),
+        // As after a start without a battery: the machine believes that it is 1970.
+        (-1_795_410_000.0, Some("a: its clock is -1795410000.000 s off the site's")),
+        (0.1, None),
+    ] {
+        let (mut fleet, mut alerts) = (fleet(), watched(RuleKind::ClockOff, 0.5));
+        fleet.announce("a", BOOT, at(0.0));
+        let sent = at(ahead_s);
+        fleet.receive("a", Topic::Health, &publication(0, BOOT, sent), at(0.0));
+        fleet.report("a", report(health(Mode::Main, GnssState::Fixed)), at(0.0));
+        fleet.receive("a", Topic::Pose, &publication(0, BOOT, sent), at(0.0));
+        fleet.pose("a", sample(sent, 0.0), at(0.0));
+        let told = observed(&mut alerts, &mut fleet, at(0.1));
+        let told: Vec<&str> = told.iter().map(|(_, message)| message.as_str()).collect();
+        assert_eq!(told, Vec::from_iter(words), "{ahead_s} s");
+        assert_eq!(presence(&mut fleet, at(0.1)), Presence::Online, "it is as young as when it came");
+    }
 }
 
 #[test]

@@ -83,7 +83,10 @@ impl From<Geodetic> for WorldView {
     }
 }
 
-/// Whether a machine is there.
+/// Whether a machine is there. `online`: it is connected, and its newest pose is at most half a second old, or three
+/// times the usual time between two, or, before its estimator has started, its newest health at most 2.5 s. `stale`: it
+/// is connected, and they are older. `restarted`: it is connected with another boot than before, its health is young, and
+/// it has not said yet where it is. `lost`: it is not connected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "shells", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
@@ -92,6 +95,8 @@ pub enum Presence {
     Online,
     /// Connected, but its data are old.
     Stale,
+    /// Connected with another boot than before, which is heard but has not said yet where the machine is.
+    Restarted,
     /// Not connected.
     Lost,
 }
@@ -102,8 +107,14 @@ impl Presence {
         match self {
             Presence::Online => "online",
             Presence::Stale => "stale",
+            Presence::Restarted => "restarted",
             Presence::Lost => "lost",
         }
+    }
+
+    /// Whether it is connected and says something: online, or on its way there.
+    pub const fn is_heard(self) -> bool {
+        matches!(self, Presence::Online | Presence::Restarted)
     }
 }
 
@@ -163,6 +174,10 @@ pub struct MachineView {
     pub gnss: GnssView,
     /// How good its link is.
     pub link: LinkView,
+    /// For how long another machine has said that it has this id, s; `None` if none does. People read it in
+    /// `state_word`.
+    #[serde(skip)]
+    pub id_conflict_s: Option<f64>,
 }
 
 /// Where a machine is.
@@ -350,6 +365,11 @@ pub(super) fn state_word(
     match presence {
         Presence::Lost => return (format!("OFFLINE {}", minutes(since_s)), Severity::Offline),
         Presence::Stale => return (format!("STALE {}", minutes(since_s)), Severity::Bad),
+        Presence::Restarted => {
+            let waits_for = health.and_then(|health| health.report.waits_for.as_deref());
+            let waits_for = waits_for.map_or_else(String::new, |waits_for| format!(": {waits_for}"));
+            return (format!("RESTARTED {}{waits_for}", minutes(since_s)), Severity::Warning);
+        }
         Presence::Online => {}
     }
     let Some(health) = health else { return ("CONNECTING".to_owned(), Severity::Warning) };

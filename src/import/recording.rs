@@ -1,10 +1,9 @@
 //! Readings of one machine out of recordings of ours.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use crate::record::{self, RecordError, read_arrivals_showing, read_said};
+use crate::record::{self, RecordError, read_arrivals};
 use crate::sensors::Arrival;
-use crate::wire::{Topic, decode_reading};
 
 /// The readings of a machine.
 #[derive(Debug)]
@@ -16,8 +15,7 @@ pub struct RecordedReadings {
 }
 
 /// Reads the readings of `machine` from a file, or from all files of a session, in the order in which the machine had
-/// them; `progress` hears how many bytes were read. Of a session, all that the machine said is held meanwhile: some
-/// 200 kB for each second.
+/// them, each once; `progress` hears how many bytes were read.
 ///
 /// # Errors
 /// [`RecordError`] if a file cannot be read or is no MCAP file.
@@ -26,25 +24,9 @@ pub fn read_recordings(
     machine: &str,
     progress: impl FnMut(u64),
 ) -> Result<RecordedReadings, RecordError> {
-    if let [file] = files {
-        let arrivals = read_arrivals_showing(file, machine, progress)?;
-        let lost_bytes = arrivals.lost_bytes();
-        return Ok(RecordedReadings { arrivals: arrivals.collect(), lost_bytes });
-    }
-    let path = files.first().and_then(|file| file.parent()).unwrap_or(Path::new("."));
-    let said = read_said(files.iter().map(PathBuf::as_path), machine, progress)?;
-    let reading = |message: record::Recorded<Vec<u8>>| {
-        let Topic::Sensor(sensor) = message.topic else { return None };
-        let arrival = message.sent;
-        Some(decode_reading(sensor, &message.payload).map(|reading| Arrival { arrival, reading }).map_err(
-            |source| {
-                let record::Recorded { machine, topic, sequence, .. } = message;
-                RecordError::Message { path: path.to_owned(), machine, topic, sequence, source }
-            },
-        ))
-    };
-    let arrivals = said.messages.into_iter().filter_map(reading).collect();
-    Ok(RecordedReadings { arrivals, lost_bytes: said.lost_bytes })
+    let arrivals = read_arrivals(files.iter().map(PathBuf::as_path), machine, progress)?;
+    let lost_bytes = arrivals.lost_bytes();
+    Ok(RecordedReadings { arrivals: arrivals.collect(), lost_bytes })
 }
 
 /// The machines whose topics are in any of the files, sorted.

@@ -147,7 +147,7 @@ fn recorded(path: &Path, wanted: Option<&str>, own: &str) -> Result<Vec<Arrival>
         let (path, wanted) = (path.to_owned(), wanted.to_owned());
         return Err(SourceError::NotRecorded { path, wanted, found });
     }
-    let readings = record::read_arrivals(path, wanted)?;
+    let readings = record::read_arrivals([path], wanted, |_| ())?;
     if readings.lost_bytes() > 0 {
         tracing::warn!(path = %path.display(), bytes = readings.lost_bytes(), "a part of the recording is lost");
     }

@@ -54,12 +54,16 @@ pub struct Part {
 pub struct Progress {
     /// Messages that were sent.
     pub sent: u64,
+    /// Messages that could not be sent.
+    pub unsent: u64,
     /// Of so many.
     pub messages: u64,
     /// Of the session, s.
     pub data_s: f64,
     /// Its length, s.
     pub length_s: f64,
+    /// Whether it ended because that was asked for, not because all was said.
+    pub interrupted: bool,
 }
 
 /// Why a session cannot be played.
@@ -106,15 +110,18 @@ pub async fn play(
     for part in &machines {
         peers.push(Peer::open(part, &endpoint).await?);
     }
-    let mut progress = Progress::default();
+    let (mut progress, mut interrupted) = (Progress::default(), false);
     let outcome = tokio::select! {
-        () = shutdown => Ok(()),
+        () = shutdown => {
+            interrupted = true;
+            Ok(())
+        }
         outcome = say_all(&mut peers, machines, (&endpoint, speed), &mut progress, &mut tell) => outcome,
     };
     for peer in peers {
         peer.close().await;
     }
-    outcome.map(|()| progress)
+    outcome.map(|()| Progress { interrupted, ..progress })
 }
 
 async fn say_all(
@@ -148,14 +155,14 @@ async fn say_all(
         }
         look(peers, endpoint, progress, &mut looked).await?;
         let peer = &mut peers[machine];
-        peer.say(message).await?;
+        let counter = if peer.say(message).await? { &mut progress.sent } else { &mut progress.unsent };
+        *counter += 1;
         // A machine that was off is off again.
         if is_last_of_boot {
             peer.end_boot().await;
         }
-        progress.sent += 1;
         progress.data_s = due.as_seconds();
-        if progress.sent.is_multiple_of(1_024) {
+        if (progress.sent + progress.unsent).is_multiple_of(1_024) {
             tell(*progress);
             // Where nothing is waited for, a signal is still to be heard.
             tokio::task::yield_now().await;

@@ -98,8 +98,8 @@ impl Peer {
         publisher.matching_status().await.is_ok_and(|status| status.matching())
     }
 
-    /// Says a message again.
-    pub(super) async fn say(&mut self, message: Recorded<Vec<u8>>) -> Result<(), LinkError> {
+    /// Says a message again; false if it could not be sent.
+    pub(super) async fn say(&mut self, message: Recorded<Vec<u8>>) -> Result<bool, LinkError> {
         let Recorded { topic, boot: recorded, sequence, sent, mut payload, .. } = message;
         let boot = match &self.boot {
             Some(boot) if boot.recorded == recorded => boot.id,
@@ -110,12 +110,12 @@ impl Peer {
         }
         let stamp = payload_stamp(topic, &payload).unwrap_or(sent);
         let attachment = Attachment { sequence, boot, stamp, sent }.encode();
-        if let Some(publisher) = self.publishers.get(&topic)
-            && let Err(error) = publisher.put(payload).attachment(attachment.as_slice()).await
-        {
+        let Some(publisher) = self.publishers.get(&topic) else { return Ok(false) };
+        let put = publisher.put(payload).attachment(attachment.as_slice()).await;
+        if let Err(error) = &put {
             tracing::debug!(%error, %topic, "a message could not be sent");
         }
-        Ok(())
+        Ok(put.is_ok())
     }
 
     async fn begin_boot(&mut self, recorded: Option<BootId>) -> Result<BootId, LinkError> {

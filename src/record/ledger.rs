@@ -4,7 +4,7 @@
 //! Machines count the messages of a topic from 0 at each boot, so that whatever is missing before the highest
 //! number seen is a gap, and so is whatever a machine holds and the recordings do not.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
@@ -13,8 +13,8 @@ use super::Ranges;
 use super::ranges::widen_near;
 use crate::wire::{BootId, HeldBoot, Holdings, Kept, Topic, Wanted};
 
-/// So many boots of a machine are remembered; of those that it still holds, all.
-const BOOTS_MAX: usize = 256;
+/// Of so many boots of a machine that are closed it is remembered that they were.
+const CLOSED_MAX: usize = 256;
 
 /// Why messages will never be in a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -109,9 +109,13 @@ struct Book {
     /// When the machine was first met it may have worked for days: what came before is no gap.
     met_in: Option<BootId>,
     filled: u64,
-    /// Of boots that are forgotten.
+    /// Of boots that are closed.
     #[serde(default)]
     lost_before: u64,
+    /// Boots that have ended and that the machine holds no more: what they lack is lost, and nothing else is known of
+    /// them. Oldest first.
+    #[serde(default, skip_serializing_if = "VecDeque::is_empty")]
+    closed: VecDeque<BootId>,
 }
 
 /// One topic of one boot.
@@ -159,21 +163,29 @@ impl Book {
         if !self.boots.contains_key(&boot) {
             self.order.push(boot);
         }
-        let fresh = || Stream { base: if met_now { number } else { 0 }, ..Stream::default() };
+        let base = match () {
+            // Such as in a file that is read once more: the rest may be in others.
+            () if self.closed.contains(&boot) => u64::MAX,
+            () if met_now => number,
+            () => 0,
+        };
+        let fresh = || Stream { base, ..Stream::default() };
         self.boots.entry(boot).or_default().entry(topic).or_insert_with(fresh)
     }
 
-    /// Forgets the oldest of those that the machine does not hold any more.
-    fn forget_old_boots(&mut self, held: &[HeldBoot]) {
-        let spare = self.order.len().saturating_sub(BOOTS_MAX);
-        let gone = |boot: &&BootId| held.iter().all(|held| held.boot != **boot);
-        let goes: Vec<BootId> = self.order.iter().filter(gone).take(spare).copied().collect();
-        for boot in &goes {
+    /// Of boots that can get nothing more, keeps what is lost as a number, and the name.
+    fn close(&mut self, boots: &[BootId]) {
+        for boot in boots {
             let topics = self.boots.remove(boot).unwrap_or_default();
             self.lost_before += topics.values().map(|stream| stream.lost.count()).sum::<u64>();
             self.held.remove(boot);
+            if !self.closed.contains(boot) {
+                self.closed.push_back(*boot);
+            }
         }
-        self.order.retain(|boot| !goes.contains(boot));
+        self.order.retain(|boot| !boots.contains(boot));
+        let spare = self.closed.len().saturating_sub(CLOSED_MAX);
+        self.closed.drain(..spare);
     }
 }
 
@@ -372,7 +384,8 @@ impl Ledger {
         book.meet(holdings);
         let nothing_is_overwritten = holdings.boots.iter().all(|held| held.overwritten.is_empty());
         if holdings.kept == Kept::Yes {
-            for held in &holdings.boots {
+            // A closed one may be there again, with a disk that was away: what was recorded of it is forgotten.
+            for held in holdings.boots.iter().filter(|held| !book.closed.contains(&held.boot)) {
                 let earlier = before.and_then(|before| of_boot(before, held.boot));
                 let wanted = book.compare(held, earlier, &mut lost);
                 if !wanted.is_empty() {
@@ -380,6 +393,7 @@ impl Ledger {
                 }
             }
         }
+        let mut ended = Vec::new();
         for (boot, topics) in &book.boots {
             let held = of_boot(holdings, *boot).is_some();
             let gone = !held && before.is_some_and(|before| of_boot(before, *boot).is_none());
@@ -395,12 +409,18 @@ impl Ledger {
             for (topic, stream) in topics {
                 lost.push((*boot, *topic, stream.holes(), cause));
             }
+            // A machine without a record does not tell which boot runs: the newest. What waits for the disk may have to
+            // be counted as missing yet.
+            let runs = holdings.kept == Kept::No && book.order.last() == Some(boot);
+            if !runs && topics.values().all(|stream| stream.unsynced.is_empty()) {
+                ended.push(*boot);
+            }
         }
         for (boot, topic, numbers, cause) in lost {
             plan.lost.extend(self.lose(machine, boot, topic, &numbers, cause));
         }
         if let Some(book) = self.machines.get_mut(machine) {
-            book.forget_old_boots(&holdings.boots);
+            book.close(&ended);
         }
         plan
     }

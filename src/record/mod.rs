@@ -48,7 +48,7 @@ pub use merge::{Piece, merge};
 pub use order::{Said, read_in_order, read_said};
 pub use places::Places;
 pub use ranges::Ranges;
-pub use read::{Arrivals, Messages, machines, read_arrivals, read_arrivals_showing, read_messages};
+pub use read::{Arrivals, Messages, machines, read_arrivals, read_messages};
 pub use recover::{inspect, recover};
 pub use write::{ChannelBook, RecordWriter, SYNC_EVERY};
 

@@ -8,8 +8,34 @@ use super::{RecordError, Recorded, read_messages};
 use crate::time::Stamp;
 use crate::wire::{BootId, JournalHead, Topic, decode_journal_page};
 
-/// The messages of one boot.
-type Topics = BTreeMap<Topic, Vec<Recorded<Vec<u8>>>>;
+/// What says where something that was sent belongs.
+pub(super) trait Sent {
+    fn boot(&self) -> Option<BootId>;
+    fn topic(&self) -> Topic;
+    fn sequence(&self) -> u64;
+    fn sent(&self) -> Stamp;
+}
+
+impl<P> Sent for Recorded<P> {
+    fn boot(&self) -> Option<BootId> {
+        self.boot
+    }
+
+    fn topic(&self) -> Topic {
+        self.topic
+    }
+
+    fn sequence(&self) -> u64 {
+        self.sequence
+    }
+
+    fn sent(&self) -> Stamp {
+        self.sent
+    }
+}
+
+/// What was sent in one boot.
+type Topics<T> = BTreeMap<Topic, Vec<T>>;
 
 /// Reads all messages of `machine` from the files of a session: boot by boot, and within a boot by the time of
 /// sending; those of one topic in the order of their numbers, even if the machine's clock was set back. What is
@@ -89,34 +115,34 @@ pub fn read_said<'a>(
     Ok(said)
 }
 
-/// The messages of one machine in that order.
-pub(super) fn sorted(messages: Vec<Recorded<Vec<u8>>>) -> Vec<Recorded<Vec<u8>>> {
-    let mut boots: BTreeMap<Option<BootId>, Topics> = BTreeMap::new();
+/// What one machine sent, in that order.
+pub(super) fn sorted<T: Sent>(messages: Vec<T>) -> Vec<T> {
+    let mut boots: BTreeMap<Option<BootId>, Topics<T>> = BTreeMap::new();
     for message in messages {
-        boots.entry(message.boot).or_default().entry(message.topic).or_default().push(message);
+        boots.entry(message.boot()).or_default().entry(message.topic()).or_default().push(message);
     }
-    let mut runs: Vec<(Stamp, Vec<Recorded<Vec<u8>>>)> = Vec::new();
+    let mut runs: Vec<(Stamp, Vec<T>)> = Vec::new();
     for (boot, topics) in boots {
-        let first = topics.values().flatten().map(|message| message.sent).min().unwrap_or_default();
+        let first = topics.values().flatten().map(T::sent).min().unwrap_or_default();
         runs.push((first, in_order(topics, boot.is_some())));
     }
     runs.sort_by_key(|(first, _)| *first);
     runs.into_iter().flat_map(|(_, messages)| messages).collect()
 }
 
-fn in_order(topics: Topics, counted: bool) -> Vec<Recorded<Vec<u8>>> {
+fn in_order<T: Sent>(topics: Topics<T>, counted: bool) -> Vec<T> {
     // Each topic with the time at which a message may come: not before those of its topic.
-    let mut queues: Vec<VecDeque<(Stamp, Recorded<Vec<u8>>)>> = Vec::new();
+    let mut queues: Vec<VecDeque<(Stamp, T)>> = Vec::new();
     for mut messages in topics.into_values() {
         if counted {
-            messages.sort_by_key(|message| message.sequence);
-            messages.dedup_by_key(|message| message.sequence);
+            messages.sort_by_key(T::sequence);
+            messages.dedup_by_key(|message| message.sequence());
         } else {
-            messages.sort_by_key(|message| message.sent);
+            messages.sort_by_key(T::sent);
         }
         let mut latest: Option<Stamp> = None;
         let due = messages.into_iter().map(|message| {
-            let at = latest.map_or(message.sent, |latest| latest.max(message.sent));
+            let at = latest.map_or(message.sent(), |latest| latest.max(message.sent()));
             latest = Some(at);
             (at, message)
         });

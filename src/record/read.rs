@@ -5,9 +5,11 @@ use std::path::{Path, PathBuf};
 
 use mcap::records::Record;
 
+use super::order::{Sent, sorted};
 use super::scan::Scanner;
 use super::{BOOT, MACHINE, RecordError, Recorded, parse_channel_name, stamp_of};
-use crate::sensors::Arrival;
+use crate::sensors::{Arrival, Reading};
+use crate::time::Stamp;
 use crate::wire::{BootId, JournalHead, Topic, decode_reading};
 
 /// Messages between two calls of `progress`.
@@ -136,61 +138,80 @@ pub fn machines(path: &Path) -> Result<Vec<String>, RecordError> {
 
 /// The readings of one machine in the order in which they arrived at it.
 ///
-/// A file is in the order of the recorder; a message that came late to it may belong anywhere before. So the
-/// whole file is read first: some 100 bytes are held for each reading.
+/// A file is in the order of the recorder; a message that came late to it may belong anywhere before. So all
+/// files are read first: some 150 bytes are held for each reading, and nothing else.
 #[derive(Debug)]
 pub struct Arrivals {
-    arrivals: std::vec::IntoIter<Result<Arrival, RecordError>>,
+    arrivals: std::vec::IntoIter<Told>,
     lost_bytes: u64,
 }
 
-/// Reads the readings of `machine`; those of equal arrival stay in the order of the file. A reading that
-/// cannot be decoded is an error in its place.
-///
-/// # Errors
-/// [`RecordError`] if the file cannot be read or is no MCAP file.
-pub fn read_arrivals(path: &Path, machine: &str) -> Result<Arrivals, RecordError> {
-    read_arrivals_showing(path, machine, |_| ())
+/// A reading, or why it is none, and where it belongs.
+#[derive(Debug)]
+struct Told {
+    boot: Option<BootId>,
+    topic: Topic,
+    sequence: u64,
+    sent: Stamp,
+    reading: Result<Reading, RecordError>,
 }
 
-/// [`read_arrivals`] that tells, some times a chunk, how many of the file's bytes are behind.
+impl Sent for Told {
+    fn boot(&self) -> Option<BootId> {
+        self.boot
+    }
+
+    fn topic(&self) -> Topic {
+        self.topic
+    }
+
+    fn sequence(&self) -> u64 {
+        self.sequence
+    }
+
+    fn sent(&self) -> Stamp {
+        self.sent
+    }
+}
+
+/// Reads the readings of `machine` from the files of a session, in the order of [`super::read_in_order`]: what is
+/// there twice comes once. A reading that cannot be decoded is an error in its place. `tell` hears, some times a
+/// chunk, how many bytes are behind.
 ///
 /// # Errors
-/// [`RecordError`] if the file cannot be read or is no MCAP file.
-pub fn read_arrivals_showing(
-    path: &Path,
+/// [`RecordError`] if a file cannot be read or is no MCAP file.
+pub fn read_arrivals<'a>(
+    paths: impl IntoIterator<Item = &'a Path>,
     machine: &str,
-    mut progress: impl FnMut(u64),
+    mut tell: impl FnMut(u64),
 ) -> Result<Arrivals, RecordError> {
-    let mut messages = read_messages(path)?;
     let mut found = Vec::new();
-    let mut read = 0_u64;
-    while let Some(message) = messages.next() {
-        let message = message?;
-        read += 1;
-        if read.is_multiple_of(PROGRESS_EVERY) {
-            progress(messages.scanner.at());
+    let (mut bytes_before, mut lost_bytes, mut read) = (0, 0, 0_u64);
+    for path in paths {
+        let mut messages = read_messages(path)?;
+        while let Some(message) = messages.next() {
+            let message = message?;
+            read += 1;
+            if read.is_multiple_of(PROGRESS_EVERY) {
+                tell(bytes_before + messages.read_bytes());
+            }
+            let Recorded { boot, topic, sequence, sent, .. } = message;
+            let Topic::Sensor(sensor) = topic else { continue };
+            if message.machine != machine {
+                continue;
+            }
+            let reading = decode_reading(sensor, &message.payload)
+                .map_err(|source| unreadable(path.to_owned(), message, source));
+            found.push(Told { boot, topic, sequence, sent, reading });
         }
-        let Topic::Sensor(sensor) = message.topic else { continue };
-        if message.machine != machine {
-            continue;
-        }
-        let reading = decode_reading(sensor, &message.payload);
-        found.push((
-            message.sent,
-            match reading {
-                Ok(reading) => Ok(Arrival { arrival: message.sent, reading }),
-                Err(source) => Err(unreadable(path.to_owned(), message, source)),
-            },
-        ));
+        bytes_before += messages.read_bytes();
+        lost_bytes += messages.lost_bytes();
     }
-    found.sort_by_key(|(sent, _)| *sent);
-    let arrivals: Vec<_> = found.into_iter().map(|(_, arrival)| arrival).collect();
-    Ok(Arrivals { arrivals: arrivals.into_iter(), lost_bytes: messages.lost_bytes() })
+    Ok(Arrivals { arrivals: sorted(found).into_iter(), lost_bytes })
 }
 
 impl Arrivals {
-    /// Bytes of the file that could not be read: damaged chunks and a torn end.
+    /// Bytes of the files that could not be read: damaged chunks and torn ends.
     pub fn lost_bytes(&self) -> u64 {
         self.lost_bytes
     }
@@ -200,7 +221,8 @@ impl Iterator for Arrivals {
     type Item = Result<Arrival, RecordError>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        self.arrivals.next()
+        let Told { sent: arrival, reading, .. } = self.arrivals.next()?;
+        Some(reading.map(|reading| Arrival { arrival, reading }))
     }
 
     fn size_hint(&self) -> (usize, Option<usize>) {

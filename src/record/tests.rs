@@ -81,7 +81,7 @@ fn killed(name: &str, samples: i64) -> (Folder, PathBuf, Vec<u8>) {
 }
 
 fn arrivals(path: &Path, machine: &str) -> Vec<Arrival> {
-    read_arrivals(path, machine).expect("open").map(|arrival| arrival.expect("readable")).collect()
+    read_arrivals([path], machine, |_| ()).expect("open").map(|arrival| arrival.expect("readable")).collect()
 }
 
 #[test]
@@ -124,6 +124,40 @@ fn readings_come_in_order_of_arrival_even_if_they_were_received_otherwise() {
     }
     writer.finish().expect("finish");
     assert_eq!(arrivals(&path, "a"), readings);
+}
+
+#[test]
+fn readings_of_one_file_and_of_several_go_by_boot_and_number_and_come_once() {
+    let folder = Folder::new("once");
+    let whole = folder.file("s.mcap");
+    let parts = [folder.file("s-0000.mcap"), folder.file("s-0001.mcap")];
+    let message = |boot: u64, number: u64, sent: i64| Recorded {
+        boot: Some(BootId(boot)),
+        sequence: number,
+        ..recorded("a", 0, &imu(sent))
+    };
+    // The clock is set back in the second boot; its third sample was fetched once more.
+    let first = [message(7, 0, 0), message(7, 1, 1), message(3, 0, 50), message(3, 2, 30)];
+    let second = [message(3, 1, 51), message(3, 2, 30), message(3, 3, 31)];
+    let mut all = RecordWriter::create(&whole).expect("create");
+    let mut part = RecordWriter::create(&parts[0]).expect("create");
+    for message in &first {
+        part.write(message).expect("write");
+        all.write(message).expect("write");
+    }
+    let book = part.book().clone();
+    part.finish().expect("finish");
+    let mut part = RecordWriter::create_next(&parts[1], book).expect("create");
+    for message in &second {
+        part.write(message).expect("write");
+        all.write(message).expect("write");
+    }
+    part.finish().expect("finish");
+    all.finish().expect("finish");
+    let expected: Vec<Arrival> = [0, 1, 50, 51, 30, 31].map(imu).into();
+    assert_eq!(arrivals(&whole, "a"), expected);
+    let parts = read_arrivals(parts.iter().map(PathBuf::as_path), "a", |_| ()).expect("open");
+    assert_eq!(parts.map(|arrival| arrival.expect("readable")).collect::<Vec<_>>(), expected);
 }
 
 #[test]
@@ -275,7 +309,7 @@ fn unreadable_reading_is_an_error_in_its_place() {
         writer.write(&message).expect("write");
     }
     writer.finish().expect("finish");
-    let readings: Vec<_> = read_arrivals(&path, "a").expect("open").collect();
+    let readings: Vec<_> = read_arrivals([path.as_path()], "a", |_| ()).expect("open").collect();
     assert_eq!(readings.len(), 3);
     let message = readings[1].as_ref().expect_err("cut").to_string();
     assert!(
@@ -296,6 +330,33 @@ fn time_before_the_epoch_and_a_clock_set_back_do_no_harm() {
     assert_eq!(writer.unsynced_since(), None);
     assert_eq!(writer.finish().expect("finish").messages, 1);
     assert_eq!(arrivals(&path, "a")[0].arrival, Stamp::from_nanos(0));
+}
+
+/// Chunks of a file with ten seconds of messages, each stamped so much later than it should be.
+fn chunks(name: &str, late_ms: impl Fn(i64) -> i64) -> usize {
+    let folder = Folder::new(name);
+    let path = folder.file("s.mcap");
+    let mut writer = RecordWriter::create(&path).expect("create");
+    for index in 0..1_000 {
+        let message = recorded("a", index as u64, &imu(index));
+        let received = message.received + Span::from_millis(late_ms(index));
+        writer.write(&Recorded { received, ..message }).expect("write");
+    }
+    writer.finish().expect("finish");
+    let bytes = std::fs::read(&path).expect("read");
+    mcap::Summary::read(&bytes).expect("readable").expect("a summary").chunk_indexes.len()
+}
+
+#[test]
+fn stamps_in_some_disorder_are_synced_no_more_often_than_others() {
+    let in_order = chunks("ordered", |_| 0);
+    assert!((14..=16).contains(&in_order), "{in_order}");
+    // Every other message was stamped by a thread that came to the queue late.
+    let disordered = chunks("disordered", |index| if index % 2 == 0 { 0 } else { -30 });
+    assert!(disordered.abs_diff(in_order) <= 1, "{disordered}, not {in_order}");
+    // A clock that is set back by an hour is no disorder: one sync more, and on as before.
+    let set_back = chunks("set-back", |index| if index < 500 { 0 } else { -3_600_000 });
+    assert!((in_order..=in_order + 2).contains(&set_back), "{set_back}, not {in_order}");
 }
 
 /// A boot of machine `a` that took so many samples, with a page and a takeover after every ten; what `keep` does

@@ -14,8 +14,12 @@ use super::{channel_name, file_error, mcap_error, sync_folder_of};
 use crate::time::{Span, Stamp};
 use crate::wire::{BootId, Topic, schema_of};
 
-/// A message is on the disk at most so long after it was written here, if the caller ticks.
-pub const SYNC_EVERY: Span = Span::from_millis(900);
+/// What was written is synced after so long, if the caller ticks: with the sync itself, and a tick that comes late,
+/// a message is on the disk within a second.
+pub const SYNC_EVERY: Span = Span::from_millis(700);
+/// Messages are stamped by several threads before they queue up here, so that their stamps may be so much out of order.
+/// Only what is further back says that the clock was set back.
+const DISORDER_MAX: Span = Span::from_millis(250);
 /// A chunk that holds more is finished before its time.
 const CHUNK_BYTES: u64 = 4 * 1024 * 1024;
 
@@ -65,7 +69,8 @@ pub struct RecordWriter {
     /// Those that are defined in this file.
     channels: BTreeMap<String, BTreeMap<(Topic, Option<BootId>), u16>>,
     unsynced_since: Option<Stamp>,
-    last_tick: Option<Stamp>,
+    /// The newest stamp, unless the clock was set back.
+    now: Option<Stamp>,
     span: Option<(Stamp, Stamp)>,
     messages: u64,
 }
@@ -117,7 +122,7 @@ impl RecordWriter {
             book,
             channels: BTreeMap::new(),
             unsynced_since: None,
-            last_tick: None,
+            now: None,
             span: None,
             messages: 0,
         }
@@ -201,9 +206,10 @@ impl RecordWriter {
     /// # Errors
     /// [`RecordError`] if the file cannot be written or synced.
     pub fn tick(&mut self, now: Stamp) -> Result<(), RecordError> {
-        // The clock may be set back: what is older than it can be is synced as well.
-        let clock_went_back = self.last_tick.is_some_and(|last| now < last);
-        self.last_tick = Some(now);
+        // When the clock is set back nobody knows how old is what waits: it is synced as well.
+        let clock_went_back = self.now.is_some_and(|newest| newest - now > DISORDER_MAX);
+        let now = self.now.filter(|_| !clock_went_back).map_or(now, |newest| newest.max(now));
+        self.now = Some(now);
         match self.unsynced_since {
             Some(since) if clock_went_back || now - since >= SYNC_EVERY => self.sync(),
             _ => Ok(()),

@@ -19,7 +19,8 @@ pub struct Published {
 }
 
 impl Published {
-    /// Reads the poses and reports of a machine; of one boot, if it is told.
+    /// Reads the poses and reports of a machine; of one boot, if it is told. `tell` hears how many bytes of the files
+    /// are behind.
     ///
     /// # Errors
     /// [`RecordError`] if a file cannot be read or is no MCAP file.
@@ -27,15 +28,23 @@ impl Published {
         paths: impl IntoIterator<Item = &'a Path>,
         machine: &str,
         boot: Option<BootId>,
+        mut tell: impl FnMut(u64),
     ) -> Result<Self, RecordError> {
         let mut published = Self::default();
+        let (mut bytes_before, mut read) = (0, 0_u64);
         for path in paths {
-            for message in read_messages(path)? {
+            let mut messages = read_messages(path)?;
+            while let Some(message) = messages.next() {
                 let message = message?;
                 if message.machine == machine && (boot.is_none() || message.boot == boot) {
                     published.note(&message);
                 }
+                read += 1;
+                if read.is_multiple_of(1_024) {
+                    tell(bytes_before + messages.read_bytes());
+                }
             }
+            bytes_before += messages.read_bytes();
         }
         Ok(published)
     }

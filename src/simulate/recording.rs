@@ -94,8 +94,10 @@ mod tests {
         let mut readings = 0;
         for id in scenario.machine_ids() {
             let logged = read_log_folder(&folder.join(id)).expect("log folder").arrivals;
-            let recorded: Vec<Arrival> =
-                read_arrivals(&path, id).expect("recording").collect::<Result<_, _>>().expect("readings");
+            let recorded: Vec<Arrival> = read_arrivals([path.as_path()], id, |_| ())
+                .expect("recording")
+                .collect::<Result<_, _>>()
+                .expect("readings");
             assert_eq!(recorded, logged, "{id}");
             readings += logged.len() as u64;
         }

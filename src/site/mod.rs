@@ -200,6 +200,7 @@ impl Site {
             archive: Arc::clone(&archive),
             frames: frames.clone(),
             record_directory: config.record.enabled.then(|| config.record.directory.clone()),
+            recording: recorder.as_ref().map(Recorder::progress),
             tolerance_m: config.tolerance.position_sigma_m,
             clock,
             stopped: stopped.clone(),

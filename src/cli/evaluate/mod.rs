@@ -13,7 +13,8 @@ use crate::config::{self, Machine};
 use crate::evaluate::comparison::{self, Fixes, Given, Judgement, RunSummary};
 use crate::evaluate::{Alignment, DeltaUnit, Errors, EvoOptions, Options, Report, monte_carlo, paper};
 use crate::import::{
-    ImportError, StampedPose, TumReader, read_corrections, read_intervals, read_log_folder, read_sigmas,
+    ImportError, StampedPose, TumReader, log_folder_bytes, read_corrections, read_intervals,
+    read_log_folder_showing, read_sigmas,
 };
 use crate::sensors::Reading;
 
@@ -286,7 +287,11 @@ fn read_fixes(log: &Path, machine: &Path) -> Result<Fixes, Box<dyn Error>> {
     must_exist(log)?;
     let options = config::load::<Machine>(machine)?.estimator_options();
     let mut fixes = Vec::new();
-    for arrival in read_log_folder(log)?.arrivals {
+    let whole = log_folder_bytes(log) as f64;
+    let mut bar = Progress::new("reading the fixes", Unit::Bytes);
+    let folder = read_log_folder_showing(log, |bytes| bar.show(bytes as f64, whole))?;
+    bar.finish();
+    for arrival in folder.arrivals {
         let (Reading::GnssLeft(fix), Ok(())) = (arrival.reading, arrival.reading.check()) else { continue };
         // Others are no RTK fixes by the receiver's own word.
         if fix.sigma_enu_m.xy().amax() <= options.gate.sigma_max_m {

@@ -1,13 +1,14 @@
 //! `holdfast evaluate SESSION`: a real session without truth, as a page for those who run the site.
 
 use std::error::Error;
+use std::fs;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
 use super::super::Outcome;
 use super::super::progress::{Progress, Unit};
-use super::super::runs::{self, Run, Runs};
+use super::super::runs::{self, Loss, Run, Runs};
 use super::study;
 use crate::reference::{self, Step};
 use crate::review::{self, Collector, Latency, Published, Review};
@@ -32,9 +33,9 @@ pub(super) fn run(
 ) -> Result<Outcome, Box<dyn Error>> {
     let Runs { runs, lost, files } = runs::read(session, machine)?;
     let outcome = if lost.is_empty() { Outcome::Done } else { Outcome::DataWasBad };
-    let of_another = |lost: &str, id: &str| runs.iter().any(|run| run.id != id && lost.starts_with(&run.id));
+    lost.iter().for_each(|lost| eprintln!("{}: {lost}", session.display()));
     let reviews = runs.iter().map(|run| {
-        let lost = lost.iter().filter(|lost| !of_another(lost, &run.id)).cloned().collect();
+        let lost = lost.iter().filter(|lost| lost.concerns(&run.id)).map(Loss::to_string).collect();
         one(run, &files, lost, memory_mb)
     });
     let reviews = reviews.collect::<Result<Vec<_>, _>>()?;
@@ -74,7 +75,11 @@ fn one(run: &Run, files: &[PathBuf], lost: Vec<String>, memory_mb: usize) -> Res
     let latency = if files.is_empty() {
         Latency::default()
     } else {
-        Published::read(files.iter().map(PathBuf::as_path), &run.id, run.boot)?.latency()
+        let whole: u64 = files.iter().map(|file| fs::metadata(file).map_or(0, |about| about.len())).sum();
+        let mut bar = Progress::new(&format!("{}: timing", run.name), Unit::Bytes);
+        let paths = files.iter().map(PathBuf::as_path);
+        let tell = |bytes| bar.show(bytes as f64, whole as f64);
+        Published::read(paths, &run.id, run.boot, tell)?.latency()
     };
     let judged = match &smoothed {
         Ok(smoothed) => Ok((smoothed.gain(&forward.live), &smoothed.chains[..])),

@@ -8,7 +8,7 @@ use super::super::progress::{Progress, Unit};
 use super::super::{Outcome, logging, machine::shutdown_signal};
 use super::{Session, lost};
 use crate::config::{self, Machine};
-use crate::player::{self, Options, Part};
+use crate::player::{self, Options, Part, Progress as Played};
 use crate::record::{Said, read_said};
 
 /// Where it is played to.
@@ -36,7 +36,7 @@ pub(super) fn run(session: &Session, site: &Site, speed: f64) -> Result<Outcome,
     bar.finish();
     let begun = Instant::now();
     let mut bar = Progress::new("playing", Unit::DataSeconds);
-    let tell = |progress: player::Progress| bar.show(progress.data_s, progress.length_s);
+    let tell = |progress: Played| bar.show(progress.data_s, progress.length_s);
     let options = Options { machines, endpoint: site.endpoint.clone(), speed };
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
     let played = runtime.block_on(async {
@@ -53,9 +53,15 @@ pub(super) fn run(session: &Session, site: &Site, speed: f64) -> Result<Outcome,
     );
     if lost_bytes > 0 {
         eprintln!("{}", lost(lost_bytes));
-        return Ok(Outcome::DataWasBad);
     }
-    Ok(Outcome::Done)
+    if played.unsent > 0 {
+        eprintln!("{} messages could not be sent", played.unsent);
+    }
+    Ok(match played {
+        Played { interrupted: true, .. } => Outcome::Interrupted,
+        Played { unsent, .. } if unsent + lost_bytes > 0 => Outcome::DataWasBad,
+        _ => Outcome::Done,
+    })
 }
 
 /// The id of the site: what is asked for, or what the machine was configured for.

@@ -24,7 +24,7 @@ use serde::{Deserialize, Serialize};
 use super::view::UtcTime;
 use crate::time::{Span, Stamp};
 
-pub use observe::{SiteState, observations};
+pub use observe::{SiteState, Unrecorded, observations};
 
 /// Alerts that nobody acknowledged are held up to this number; the oldest that are cleared go first.
 const OPEN_MAX: usize = 10_000;
@@ -48,11 +48,15 @@ pub enum RuleKind {
     EstimatorLate,
     /// A sensor that spoke is silent.
     SensorSilent,
+    /// Two machines say that they have the same id; one of them is refused.
+    IdConflict,
+    /// What should be recorded is not.
+    RecordingPaused,
 }
 
 impl RuleKind {
     /// All, in the order of their declaration.
-    pub const ALL: [RuleKind; 7] = [
+    pub const ALL: [RuleKind; 9] = [
         RuleKind::OutageLonger,
         RuleKind::SigmaOverTolerance,
         RuleKind::MachineLost,
@@ -60,6 +64,8 @@ impl RuleKind {
         RuleKind::DiskLow,
         RuleKind::EstimatorLate,
         RuleKind::SensorSilent,
+        RuleKind::IdConflict,
+        RuleKind::RecordingPaused,
     ];
 
     /// The name in files and JSON.
@@ -72,6 +78,8 @@ impl RuleKind {
             RuleKind::DiskLow => "disk_low",
             RuleKind::EstimatorLate => "estimator_late",
             RuleKind::SensorSilent => "sensor_silent",
+            RuleKind::IdConflict => "id_conflict",
+            RuleKind::RecordingPaused => "recording_paused",
         }
     }
 }

@@ -24,10 +24,10 @@ use super::aggregator::Frame;
 use super::clock::SiteClock;
 use super::ended;
 use super::history::Archive;
-use super::sessions::disk_free_bytes;
+use super::sessions::{Progress, RecordingState, disk_free_bytes};
 use crate::config;
 use crate::fleet::{
-    Alert, AlertSeverity, AlertState, Alerts, RuleKind, SiteState, Unacknowledged, observations,
+    Alert, AlertSeverity, AlertState, Alerts, RuleKind, SiteState, Unacknowledged, Unrecorded, observations,
 };
 use crate::time::Stamp;
 use authorities::Authorities;
@@ -102,6 +102,8 @@ pub(super) struct Surroundings {
     pub frames: watch::Receiver<Arc<Frame>>,
     /// `None` where nothing is recorded.
     pub record_directory: Option<PathBuf>,
+    /// `None` where nothing is recorded.
+    pub recording: Option<watch::Receiver<Progress>>,
     pub tolerance_m: f64,
     pub clock: SiteClock,
     pub stopped: watch::Receiver<bool>,
@@ -192,6 +194,20 @@ pub(super) fn test_alert(now: Stamp) -> Alert {
     }
 }
 
+/// For how long what should be recorded is not, and why; `since` is kept from one time to the next.
+fn unrecorded(told: &watch::Receiver<Progress>, now: Stamp, since: &mut Option<Stamp>) -> Unrecorded {
+    let progress = told.borrow();
+    // Who ends the server has the recorder say so before it goes.
+    let is_gone = told.has_changed().is_err() && progress.state != RecordingState::Stopped;
+    let troubles = match is_gone {
+        true => vec!["nothing is recorded: the recorder has ended by a fault of its own".to_owned()],
+        false => progress.troubles(now),
+    };
+    *since = (!troubles.is_empty()).then(|| since.unwrap_or(now));
+    let for_s = since.map_or(0.0, |since| now.seconds_since(since));
+    Unrecorded { for_s, why: troubles.join("; ") }
+}
+
 struct Watcher {
     alerts: Alerts,
     site: Surroundings,
@@ -208,8 +224,9 @@ impl Watcher {
     async fn run(mut self, mut commands: mpsc::Receiver<Acknowledge>) {
         let mut stopped = self.site.stopped.clone();
         let mut frames = self.site.frames.clone();
-        let mut state = SiteState { disk_free_bytes: None, tolerance_m: self.site.tolerance_m };
+        let mut state = SiteState { tolerance_m: self.site.tolerance_m, ..SiteState::default() };
         let mut disk_due = 0;
+        let mut unrecorded_since = None;
         loop {
             tokio::select! {
                 biased;
@@ -236,7 +253,10 @@ impl Watcher {
                         }
                         state.disk_free_bytes = self.site.record_directory.as_deref().and_then(disk_free_bytes);
                     }
-                    let changed = self.alerts.observe(observations(&frame.view, state), frame.view.time.0);
+                    let now = frame.view.time.0;
+                    state.unrecorded =
+                        self.site.recording.as_ref().map(|told| unrecorded(told, now, &mut unrecorded_since));
+                    let changed = self.alerts.observe(observations(&frame.view, &state), now);
                     if !changed.is_empty() {
                         changed.iter().for_each(|alert| {
                             tracing::warn!("alert {}: {}: {}", alert.id, alert.state.name(), alert.message);

@@ -96,7 +96,7 @@ impl Books {
         }
     }
 
-    /// Saves them if they have changed since `last`; in one step, so that there are always some.
+    /// Saves them if they have changed since `last`, which they become; in one step, so that there are always some.
     pub(super) fn save(&self, path: &Path, last: &mut Vec<u8>) {
         // The recorder waits for a copy only.
         let ledger = self.lock().clone();
@@ -144,10 +144,13 @@ impl Books {
         self.unread().drain(..tried.len());
     }
 
-    /// Takes in what a file has; one that cannot be read is remembered.
+    /// Takes in what a file has; one that cannot be read, or not to its end, is remembered.
     fn read(&self, path: &Path, tries: u32, stopping: &AtomicBool) {
-        if let Err(error) = self.take_in(path, stopping) {
-            self.cannot_read(path, tries, &error.to_string());
+        match self.take_in(path, stopping) {
+            Ok(true) => {}
+            // Nobody may save books that lack the rest of it: the next run reads it from its beginning.
+            Ok(false) => self.unread().push(Unread { path: path.to_owned(), tries }),
+            Err(error) => self.cannot_read(path, tries, &error.to_string()),
         }
     }
 
@@ -164,18 +167,22 @@ impl Books {
         self.unread().push(Unread { path: path.to_owned(), tries: tries + 1 });
     }
 
-    fn take_in(&self, path: &Path, stopping: &AtomicBool) -> Result<(), RecordError> {
+    /// False if it was interrupted.
+    fn take_in(&self, path: &Path, stopping: &AtomicBool) -> Result<bool, RecordError> {
         let is_gone = |error: &std::io::Error| error.kind() == ErrorKind::NotFound;
         let mut messages = match read_messages(path) {
             // There is nothing of ours in it.
-            Err(RecordError::NotMcap { .. }) => return Ok(()),
-            Err(error) if error.system().is_some_and(is_gone) => return Ok(()),
+            Err(RecordError::NotMcap { .. }) => return Ok(true),
+            Err(error) if error.system().is_some_and(is_gone) => return Ok(true),
             opened => opened?,
         };
         loop {
+            if stopping.load(Ordering::Relaxed) {
+                return Ok(false);
+            }
             let some: Vec<_> = messages.by_ref().take(FOUND_AT_ONCE).collect::<Result<_, _>>()?;
-            if some.is_empty() || stopping.load(Ordering::Relaxed) {
-                return Ok(());
+            if some.is_empty() {
+                return Ok(true);
             }
             let mut ledger = self.lock();
             for message in some {
@@ -297,6 +304,29 @@ mod tests {
         std::fs::rename(&away, &recording).expect("back");
         books.read_again(&never);
         assert!(books.are_whole() && had(&books));
+    }
+
+    #[test]
+    fn recording_whose_reading_was_interrupted_is_not_taken_for_a_read_one() {
+        let folder = Folder::new("interrupted");
+        let path = folder.0.join("20260101T000000Z-0000.mcap");
+        let mut writer = RecordWriter::create(&path).expect("created");
+        let at = Stamp::from_nanos(5);
+        for sequence in 0..3_000 {
+            let (machine, topic, boot) = ("a".to_owned(), Topic::Event, Some(BootId(1)));
+            let message = Recorded { machine, topic, boot, sequence, received: at, sent: at, payload: b"{}" };
+            writer.write(&message).expect("written");
+        }
+        writer.finish().expect("closed");
+        let opened = open(&folder.0, &folder.0);
+        let (books, never) = (opened.books.clone(), AtomicBool::new(false));
+        let stopping = AtomicBool::new(true);
+        opened.read_files(&stopping);
+        assert!(!books.are_whole(), "or they would be saved");
+        books.read_again(&stopping);
+        assert!(!books.are_whole());
+        books.read_again(&never);
+        assert!(books.are_whole() && !books.lock().admit("a", BootId(1), Topic::Event, 2_999));
     }
 
     #[test]

@@ -53,6 +53,13 @@ pub(super) struct Outcome {
     pub result: Result<(), String>,
 }
 
+impl Outcome {
+    /// Of a job that has told nothing.
+    pub fn failed(reason: String) -> Self {
+        Self { holdings: None, piece_bytes: PIECE_BYTES.0, result: Err(reason) }
+    }
+}
+
 impl Job {
     pub async fn run(mut self) -> Outcome {
         let at = Instant::now();

@@ -13,7 +13,8 @@
 //! The books are saved every few seconds as far as the disk has what they say. After a restart the files that were
 //! written since are read again. As long as one of them cannot be read nothing is fetched, for it may be there.
 //!
-//! In memory are one piece for each of [`JOBS_MAX`] machines, and the books: so many bytes for each hole.
+//! In memory are one piece for each of [`JOBS_MAX`] machines, and the books: so many bytes for each hole in the boots that
+//! machines still hold.
 
 #![allow(clippy::disallowed_methods, reason = "what is asked for is waited for, by a clock that nobody sets")]
 
@@ -54,8 +55,11 @@ const ASK_AGAIN_MAX: Duration = Duration::from_secs(30);
 const SETTLED_AFTER: Duration = Duration::from_secs(2);
 /// Machines that are asked at the same time.
 const JOBS_MAX: usize = 4;
-/// The books are saved so often.
+/// The books are saved so often,
 const SAVE_EVERY: Duration = Duration::from_secs(2);
+/// and the more rarely, the longer they are: so many bytes at a time. The disk is the recorder's. What a crash costs is
+/// the reading of the files since.
+const SAVE_BYTES: usize = 64 * 1024;
 /// A recording that could not be read is tried again so often.
 const READ_EVERY: Duration = Duration::from_secs(10);
 
@@ -132,6 +136,26 @@ impl Backfill {
     }
 }
 
+/// A job that has an outcome whatever happens in it: after a panic the machine is asked again, as after any failure.
+async fn ending(job: impl Future<Output = Outcome> + Send + 'static) -> Outcome {
+    // A task of its own, which a panic ends alone; with the set it ends, too.
+    let mut task = JoinSet::new();
+    task.spawn(job);
+    match task.join_next().await {
+        Some(Ok(outcome)) => outcome,
+        ended => {
+            let reason = ended.and_then(Result::err).map_or_else(String::new, |error| error.to_string());
+            tracing::error!("a fetching job has ended early: {reason}");
+            Outcome::failed(reason)
+        }
+    }
+}
+
+/// In how many turns books of that length are saved again.
+fn save_after(bytes: usize) -> u32 {
+    u32::try_from(bytes.div_ceil(SAVE_BYTES)).unwrap_or(u32::MAX).clamp(1, 30)
+}
+
 /// The task.
 struct Fetching {
     outlets: Arc<Outlets>,
@@ -202,11 +226,8 @@ impl Fetching {
                 _ = looks.tick() => {}
             }
             let now = Instant::now();
-            while let Some(done) = self.jobs.try_join_next() {
-                match done {
-                    Ok((machine, outcome)) => self.done(&machine, outcome, now),
-                    Err(error) => tracing::error!("a fetching job has ended early: {error}"),
-                }
+            while let Some(Ok((machine, outcome))) = self.jobs.try_join_next() {
+                self.done(&machine, outcome, now);
             }
             let frame = Arc::clone(&frames.borrow());
             self.look(&frame, now);
@@ -216,9 +237,8 @@ impl Fetching {
                 read_at = Instant::now() + READ_EVERY;
             }
             if now >= save_at && self.books.are_whole() {
-                save_at = now + SAVE_EVERY;
-                // Some kilobytes; the disk is the recorder's, so that it must be quick anyway.
                 tokio::task::block_in_place(|| self.books.save(&self.path, &mut self.saved));
+                save_at = now + SAVE_EVERY * save_after(self.saved.len());
             }
         }
     }
@@ -251,7 +271,7 @@ impl Fetching {
                 left: Arc::clone(&asked.left),
             };
             let id = view.id.clone();
-            self.jobs.spawn(async move { (id, job.run().await) });
+            self.jobs.spawn(async move { (id, ending(job.run()).await) });
         }
     }
 
@@ -291,5 +311,25 @@ impl Fetching {
                 asked.told = counts;
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn job_that_panics_has_failed_and_no_more() {
+        let outcome = ending(async { panic!("of a test") }).await;
+        assert!(outcome.result.unwrap_err().contains("panicked"));
+        assert_eq!(
+            ending(async { Outcome::failed("no answer".to_owned()) }).await.result.unwrap_err(),
+            "no answer"
+        );
+    }
+
+    #[test]
+    fn long_books_are_saved_more_rarely() {
+        assert_eq!([0, 1, SAVE_BYTES, 10 * SAVE_BYTES, usize::MAX].map(save_after), [1, 1, 1, 10, 30]);
     }
 }

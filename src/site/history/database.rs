@@ -4,8 +4,7 @@ use std::path::Path;
 
 use rusqlite::{Connection, Result};
 
-/// Counts the changes of the tables; a database with another number is put aside.
-const VERSION: i64 = 1;
+use crate::database::{Durability, Schema};
 
 const TABLES: &str = "
     CREATE TABLE outages (
@@ -49,6 +48,8 @@ const TABLES: &str = "
     CREATE INDEX deliveries_by_channel ON deliveries (channel, id);
 ";
 
+const SCHEMA: Schema = Schema { tables: TABLES, version: 1, durability: Durability::AllButTheNewest };
+
 /// The database.
 #[derive(Debug)]
 pub(super) struct Database {
@@ -59,51 +60,11 @@ impl Database {
     /// Opens the database. One that is damaged or of another version is put aside, and an empty one takes its
     /// place.
     pub fn open(path: &Path) -> Result<Self> {
-        if !path.exists() {
-            return Self::create(Connection::open(path)?);
-        }
-        let known = Connection::open(path).and_then(|connection| {
-            connection.pragma_update(None, "journal_mode", "WAL")?;
-            let verdict: String = connection.query_row("PRAGMA quick_check(1)", [], |row| row.get(0))?;
-            let version: i64 = connection.query_row("PRAGMA user_version", [], |row| row.get(0))?;
-            Ok((connection, verdict, version))
-        });
-        let why = match known {
-            Ok((connection, verdict, VERSION)) if verdict == "ok" => return Self::prepare(connection),
-            Ok((_, verdict, VERSION)) => format!("is damaged: {verdict}"),
-            Ok((_, _, version)) => format!("is of version {version}, not {VERSION}"),
-            Err(error) => format!("cannot be read: {error}"),
-        };
-        let beside = |end: &str| {
-            let mut name = path.as_os_str().to_owned();
-            name.push(end);
-            name
-        };
-        tracing::error!(
-            "{}: {why}; it is put aside as .damaged, and the history begins anew",
-            path.display()
-        );
-        for end in ["", "-wal", "-shm"] {
-            // What is not there is not in the way.
-            let _ = std::fs::rename(beside(end), beside(&format!(".damaged{end}")));
-        }
-        Self::create(Connection::open(path)?)
+        Ok(Self { connection: SCHEMA.open_or_begin_anew(path, "the history begins anew")? })
     }
 
     /// One that is gone with the process.
     pub fn in_memory() -> Result<Self> {
-        Self::create(Connection::open_in_memory()?)
-    }
-
-    fn create(connection: Connection) -> Result<Self> {
-        connection.pragma_update(None, "journal_mode", "WAL")?;
-        connection.execute_batch(&format!("BEGIN; {TABLES} PRAGMA user_version = {VERSION}; COMMIT;"))?;
-        Self::prepare(connection)
-    }
-
-    fn prepare(connection: Connection) -> Result<Self> {
-        // A power cut may cost the newest rows, and damages nothing.
-        connection.pragma_update(None, "synchronous", "NORMAL")?;
-        Ok(Self { connection })
+        Ok(Self { connection: SCHEMA.in_memory()? })
     }
 }

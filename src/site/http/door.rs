@@ -4,7 +4,7 @@
 //! long: a head has [`HEAD_PATIENCE`] (also between two requests), a body [`BODY_PATIENCE`]. Of one address no more
 //! than [`CONNECTIONS_OF_ONE`] connections are taken, so that nobody shuts out the others; a proxy speaks for many.
 
-use std::collections::HashMap;
+use std::collections::BTreeMap;
 use std::net::{IpAddr, SocketAddr};
 use std::pin::Pin;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -164,7 +164,7 @@ fn until(
 
 /// How many connections each address has.
 #[derive(Clone, Default)]
-struct Seats(Arc<Mutex<HashMap<IpAddr, usize>>>);
+struct Seats(Arc<Mutex<BTreeMap<IpAddr, usize>>>);
 
 /// One of them.
 struct Seat {

@@ -13,7 +13,7 @@ use axum::body::{Body, Bytes};
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
 use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE};
-use axum::http::{HeaderValue, StatusCode};
+use axum::http::{HeaderName, HeaderValue, StatusCode};
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
 use tokio::sync::{Semaphore, mpsc, oneshot};
@@ -24,7 +24,7 @@ use super::problem::Problem;
 use super::query::bad;
 use super::sessions::ask;
 use crate::export::{
-    Format, Frame, GatherError, Gathered, Lack, Options, Spool, TrackWriter, beside, gather,
+    Faults, Format, Frame, GatherError, Gathered, Lack, Options, Spool, TrackWriter, beside, gather,
 };
 use crate::frames::geodesy::SiteFrame;
 use crate::site::sessions::disk_free_bytes;
@@ -40,6 +40,10 @@ const BLOCKS_QUEUED: usize = 8;
 const SCRATCH_BYTES_MAX: u64 = 2 << 30;
 /// Poses without a line between them are so far apart unless asked otherwise, s; as in the command `export`.
 const GAP_S: f64 = 1.0;
+
+/// Tells what is wrong with a recording; longer words are cut off.
+const FAULTS: HeaderName = HeaderName::from_static("holdfast-faults");
+const FAULTS_MAX: usize = 2_000;
 
 /// Who may make an export now.
 pub(in crate::site) fn turnstile() -> Arc<Semaphore> {
@@ -71,7 +75,9 @@ pub(super) struct Wanted {
     responses(
         (status = OK, description = "The file", content(
             (String = "text/plain"), (String = "text/csv"), (String = "application/geo+json"),
-            (String = "application/gpx+xml"), (String = "application/vnd.google-earth.kml+xml"))),
+            (String = "application/gpx+xml"), (String = "application/vnd.google-earth.kml+xml")),
+            headers(("Holdfast-Faults" = String, description = "What of the recording could not be read or used, in \
+                words: kinds, how many of each, the first of them. Not there if the recording is whole"))),
         (status = BAD_REQUEST, body = Problem, content_type = "application/problem+json"),
         (status = NOT_FOUND, description = "There is no such session, no such machine in it, or no pose",
             body = Problem, content_type = "application/problem+json"),
@@ -113,7 +119,7 @@ pub(super) async fn export(
             // Whoever asked may have gone.
             Err(problem) => return drop(told.send(Err(problem))),
         };
-        if told.send(Ok(())).is_ok()
+        if told.send(Ok(faults_header(&gathered.faults))).is_ok()
             && let Err(error) = job.write(gathered, Blocks(sender.clone()))
         {
             tracing::debug!("export of session {} broke off: {error}", job.id);
@@ -121,12 +127,29 @@ pub(super) async fn export(
             let _ = sender.blocking_send(Err(error));
         }
     });
-    begins.await.map_err(|_| ends(()))??;
+    if let Some(faults) = begins.await.map_err(|_| ends(()))?? {
+        response.headers_mut().insert(FAULTS, faults);
+    }
     let blocks = futures_util::stream::unfold(blocks, |mut blocks| async move {
         blocks.recv().await.map(|block| (block, blocks))
     });
     *response.body_mut() = Body::from_stream(blocks);
     Ok(response.into_response())
+}
+
+/// What was wrong with the recording, on one line, without the server's folders.
+fn faults_header(faults: &Faults) -> Option<HeaderValue> {
+    let told = faults.to_string();
+    let kinds = told.lines().map(|line| match line.split_once(": ") {
+        Some((path, rest)) if path.starts_with('/') && path.ends_with(".mcap") => {
+            format!("{}: {rest}", path.rsplit('/').next().unwrap_or_default())
+        }
+        _ => line.to_owned(),
+    });
+    let line = kinds.collect::<Vec<_>>().join("; ");
+    let visible = |character: char| if matches!(character, ' '..='~') { character } else { '?' };
+    let line: String = line.chars().take(FAULTS_MAX).map(visible).collect();
+    HeaderValue::from_str(&line).ok().filter(|_| !faults.is_empty())
 }
 
 /// Where poses are gathered: beside the recordings there is room, and it is bounded.

@@ -80,7 +80,8 @@ pub(super) async fn guard(State(gate): State<Gate>, mut request: Request, next: 
     }
     if let Some(origin) = listed {
         headers.insert(ACCESS_CONTROL_ALLOW_ORIGIN, origin);
-        let exposed = "Content-Disposition, Content-Range, ETag, Location, Retry-After, WWW-Authenticate";
+        let exposed = "Content-Disposition, Content-Range, ETag, Holdfast-Faults, Location, Retry-After, \
+             WWW-Authenticate";
         headers.insert(ACCESS_CONTROL_EXPOSE_HEADERS, HeaderValue::from_static(exposed));
     }
     response

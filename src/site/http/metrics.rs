@@ -20,7 +20,7 @@ use prometheus_client::registry::{Metric, Registry, Unit};
 
 use super::Shared;
 use super::problem::Problem;
-use crate::fleet::{MachineView, Presence};
+use crate::fleet::MachineView;
 use crate::site::counters::get;
 use crate::site::sessions::{RecordingState, disk_free_bytes};
 use crate::state::GnssState;
@@ -68,7 +68,7 @@ fn machines(registry: &mut Registry, machines: &[MachineView]) {
         let labels = || vec![("machine", machine.id.clone())];
         let and =
             |key: &'static str, value: &str| vec![("machine", machine.id.clone()), (key, value.to_owned())];
-        up.get_or_create(&labels()).set(i64::from(machine.presence == Presence::Online));
+        up.get_or_create(&labels()).set(i64::from(machine.presence.is_heard()));
         pose_rate.get_or_create(&labels()).set(machine.link.pose_rate_hz);
         received.get_or_create(&labels()).inc_by(machine.link.received);
         missed.get_or_create(&labels()).inc_by(machine.link.missed);
@@ -102,7 +102,12 @@ fn machines(registry: &mut Registry, machines: &[MachineView]) {
             dead_reckoning.get_or_create(&labels()).set(outage.map_or(0.0, |outage| outage.travelled_m));
         }
     }
-    register(registry, "machine_up", "1 if the machine is connected and its data are young", up);
+    register(
+        registry,
+        "machine_up",
+        "1 if the machine is connected and its data are young, or it was just started anew",
+        up,
+    );
     register(registry, "pose_age_seconds", "Since the newest pose arrived", pose_age);
     register(registry, "position_sigma_meters", "One sigma of the position along an axis", sigma);
     register(registry, "gnss_fix", "1 for the state that the machine's fixes are in", fix);

@@ -8,10 +8,6 @@ use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 
 use super::Shared;
-use crate::site::sessions::RecordingState;
-
-/// A recording that was not synced for so long is stuck, s.
-const UNSYNCED_MAX_S: f64 = 5.0;
 
 /// Whether the server can do its work.
 #[derive(Serialize, utoipa::ToSchema)]
@@ -47,13 +43,7 @@ fn reasons(shared: &Shared) -> Vec<String> {
         reasons.push(format!("the fleet was not updated for {frame_age_s:.1} s"));
     }
     if let Some(progress) = shared.progress() {
-        if progress.state == RecordingState::Paused {
-            reasons.push(format!("nothing is recorded: {}", progress.why.unwrap_or_default()));
-        }
-        let unsynced_s = progress.unsynced_since.map_or(0.0, |since| shared.clock.now().seconds_since(since));
-        if unsynced_s > UNSYNCED_MAX_S {
-            reasons.push(format!("the recording was not synced for {unsynced_s:.1} s"));
-        }
+        reasons.extend(progress.troubles(shared.clock.now()));
     }
     reasons
 }

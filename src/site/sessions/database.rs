@@ -6,11 +6,9 @@ use std::path::Path;
 use rusqlite::{Connection, Result, params};
 
 use super::folder::{Look, Notes};
+use crate::database::{Durability, Schema};
 use crate::record::{FileState, Summary};
 use crate::time::Stamp;
-
-/// Counts the changes of the tables; a database with another number is made anew.
-const VERSION: i64 = 1;
 
 const TABLES: &str = "
     CREATE TABLE sessions (
@@ -33,6 +31,9 @@ const TABLES: &str = "
         PRIMARY KEY (session, number)
     ) STRICT;
 ";
+
+/// The newest rows, which a power cut may cost, are read from the files again.
+const SCHEMA: Schema = Schema { tables: TABLES, version: 1, durability: Durability::AllButTheNewest };
 
 /// A file of a session, as it was looked at; `summary` is `None` if it was not closed, or cannot be read.
 #[derive(Clone, Debug, PartialEq)]
@@ -58,52 +59,12 @@ impl Database {
     /// Opens the database. One that is damaged or of another version is put aside, and an empty one takes its
     /// place.
     pub fn open(path: &Path) -> Result<Self> {
-        if !path.exists() {
-            return Self::create(Connection::open(path)?);
-        }
-        let known = Connection::open(path).and_then(|connection| {
-            connection.pragma_update(None, "journal_mode", "WAL")?;
-            let verdict: String = connection.query_row("PRAGMA quick_check(1)", [], |row| row.get(0))?;
-            let version: i64 = connection.query_row("PRAGMA user_version", [], |row| row.get(0))?;
-            Ok((connection, verdict, version))
-        });
-        let why = match known {
-            Ok((connection, verdict, VERSION)) if verdict == "ok" => return Self::prepare(connection),
-            Ok((_, verdict, VERSION)) => format!("is damaged: {verdict}"),
-            Ok((_, _, version)) => format!("is of version {version}, not {VERSION}"),
-            Err(error) => format!("cannot be read: {error}"),
-        };
-        tracing::warn!("{}: {why}; it is put aside and made anew from the recordings", path.display());
-        let beside = |end: &str| {
-            let mut name = path.as_os_str().to_owned();
-            name.push(end);
-            name
-        };
-        for end in ["-wal", "-shm"] {
-            let _ = std::fs::remove_file(beside(end));
-        }
-        if std::fs::rename(path, beside(".damaged")).is_err() {
-            let _ = std::fs::remove_file(path);
-        }
-        Self::create(Connection::open(path)?)
+        Ok(Self { connection: SCHEMA.open_or_begin_anew(path, "made anew from the recordings")? })
     }
 
     /// One that is gone with the process.
     pub fn in_memory() -> Result<Self> {
-        Self::create(Connection::open_in_memory()?)
-    }
-
-    fn create(connection: Connection) -> Result<Self> {
-        connection.pragma_update(None, "journal_mode", "WAL")?;
-        connection.execute_batch(&format!("BEGIN; {TABLES} PRAGMA user_version = {VERSION}; COMMIT;"))?;
-        Self::prepare(connection)
-    }
-
-    fn prepare(connection: Connection) -> Result<Self> {
-        // A power cut may cost the newest rows: they are read from the files again.
-        connection.pragma_update(None, "synchronous", "NORMAL")?;
-        connection.pragma_update(None, "foreign_keys", true)?;
-        Ok(Self { connection })
+        Ok(Self { connection: SCHEMA.in_memory()? })
     }
 
     pub fn put_notes(&mut self, id: &str, notes: &Notes) -> Result<()> {
@@ -229,14 +190,14 @@ mod tests {
         let folder = std::env::temp_dir().join(format!("holdfast-database-{}", std::process::id()));
         std::fs::create_dir_all(&folder).expect("a folder");
         let path = folder.join("catalogue.sqlite");
-        let mut database = Database::open(&path).expect("opens");
+        let mut first = Database::open(&path).expect("opens");
         let notes =
             Notes { name: "n'; --".to_owned(), notes: "äöü\n".to_owned(), tags: vec!["t".to_owned()] };
-        database.put_notes("s", &Notes::default()).expect("put");
-        database.put_part("s", 0, &part(0)).expect("put");
-        database.put_part("s", 1, &Part { summary: None, ..part(1) }).expect("put");
-        database.put_notes("s", &notes).expect("put");
-        database.put_part("s", 0, &part(2)).expect("put");
+        first.put_notes("s", &Notes::default()).expect("put");
+        first.put_part("s", 0, &part(0)).expect("put");
+        first.put_part("s", 1, &Part { summary: None, ..part(1) }).expect("put");
+        first.put_notes("s", &notes).expect("put");
+        first.put_part("s", 0, &part(2)).expect("put");
         let expected = Entry { notes, parts: [(0, part(2)), (1, Part { summary: None, ..part(1) })].into() };
         let mut database = Database::open(&path).expect("opens beside the first");
         assert_eq!(database.entries(None).expect("read"), [("s".to_owned(), expected.clone())].into());
@@ -246,7 +207,7 @@ mod tests {
         assert_eq!(database.entries(Some("s")).expect("read")["s"].parts.len(), 1);
         database.remove("s").expect("removed");
         assert_eq!(database.entries(None).expect("read").len(), 0);
-        drop(database);
+        drop((first, database));
 
         for damage in [&b"this is no database"[..], b""] {
             std::fs::write(&path, damage).expect("damaged");

@@ -15,6 +15,9 @@ use crate::site::backfill::Books;
 use crate::site::inlet::Inbound;
 use crate::time::{Span, Stamp};
 
+/// A recording that was not synced for so long is stuck, s.
+const UNSYNCED_MAX_S: f64 = 5.0;
+
 /// How far the recording is: everybody may watch it.
 #[derive(Clone, Debug, Default)]
 pub(in crate::site) struct Progress {
@@ -46,6 +49,19 @@ impl Progress {
     /// The id of the session that runs.
     pub fn running(&self) -> Option<&str> {
         self.session.as_deref()
+    }
+
+    /// Why what should be recorded is not, in words; empty if it is.
+    pub fn troubles(&self, now: Stamp) -> Vec<String> {
+        let mut troubles = Vec::new();
+        if self.state == RecordingState::Paused {
+            troubles.push(format!("nothing is recorded: {}", self.why.as_deref().unwrap_or_default()));
+        }
+        let unsynced_s = self.unsynced_since.map_or(0.0, |since| now.seconds_since(since));
+        if unsynced_s > UNSYNCED_MAX_S {
+            troubles.push(format!("the recording was not synced for {unsynced_s:.1} s"));
+        }
+        troubles
     }
 }
 

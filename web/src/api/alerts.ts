@@ -11,6 +11,8 @@ export const ALERT_RULES = [
   "disk_low",
   "estimator_late",
   "sensor_silent",
+  "id_conflict",
+  "recording_paused",
 ] as const;
 export type AlertRule = (typeof ALERT_RULES)[number];
 

@@ -1547,10 +1547,13 @@ export interface components {
             stamp: string;
         };
         /**
-         * @description Whether a machine is there.
+         * @description Whether a machine is there. `online`: it is connected, and its newest pose is at most half a second old, or three
+         *     times the usual time between two, or, before its estimator has started, its newest health at most 2.5 s. `stale`: it
+         *     is connected, and they are older. `restarted`: it is connected with another boot than before, its health is young, and
+         *     it has not said yet where it is. `lost`: it is not connected.
          * @enum {string}
          */
-        Presence: "online" | "stale" | "lost";
+        Presence: "online" | "stale" | "restarted" | "lost";
         /** @description An error as RFC 9457 has it. */
         Problem: {
             /** @description What is wrong here, and what would be right. */
@@ -1618,7 +1621,7 @@ export interface components {
          * @description What is watched.
          * @enum {string}
          */
-        RuleKind: "outage_longer" | "sigma_over_tolerance" | "machine_lost" | "clock_off" | "disk_low" | "estimator_late" | "sensor_silent";
+        RuleKind: "outage_longer" | "sigma_over_tolerance" | "machine_lost" | "clock_off" | "disk_low" | "estimator_late" | "sensor_silent" | "id_conflict" | "recording_paused";
         /**
          * @description Where a reading comes from; also the last part of its Zenoh key and the name of its log file.
          * @enum {string}
@@ -3613,6 +3616,8 @@ export interface operations {
             /** @description The file */
             200: {
                 headers: {
+                    /** @description What of the recording could not be read or used, in words: kinds, how many of each, the first of them. Not there if the recording is whole */
+                    "Holdfast-Faults"?: string;
                     [name: string]: unknown;
                 };
                 content: {

@@ -7,7 +7,7 @@
 
 import type { AlertView } from "./alerts";
 
-export const PRESENCES = ["online", "stale", "lost"] as const;
+export const PRESENCES = ["online", "stale", "restarted", "lost"] as const;
 export type Presence = (typeof PRESENCES)[number];
 
 export const SEVERITIES = ["good", "warning", "bad", "offline"] as const;

@@ -49,7 +49,7 @@ export const de: Text = {
   },
   severity: { good: "In Ordnung", warning: "Achtung", bad: "Störung", offline: "Offline" },
   lastKnown: "zuletzt bekannt",
-  presence: { online: "online", stale: "Daten veraltet", lost: "offline" },
+  presence: { online: "online", stale: "Daten veraltet", restarted: "neu gestartet", lost: "offline" },
   fields: {
     positionSigma: "Position ±1σ",
     headingSigma: "Richtung ±1σ",
@@ -320,6 +320,8 @@ export const de: Text = {
       disk_low: "Platte fast voll",
       estimator_late: "Schätzung verspätet",
       sensor_silent: "Sensor stumm",
+      id_conflict: "eine Kennung, zwei Maschinen",
+      recording_paused: "keine Aufzeichnung",
     },
   },
   account: {

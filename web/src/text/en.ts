@@ -47,7 +47,7 @@ export const en = {
   },
   severity: { good: "OK", warning: "Attention", bad: "Problem", offline: "Offline" },
   lastKnown: "last known",
-  presence: { online: "online", stale: "data out of date", lost: "offline" },
+  presence: { online: "online", stale: "data out of date", restarted: "restarted", lost: "offline" },
   fields: {
     positionSigma: "Position ±1σ",
     headingSigma: "Heading ±1σ",
@@ -319,6 +319,8 @@ export const en = {
       disk_low: "disk nearly full",
       estimator_late: "estimate late",
       sensor_silent: "sensor silent",
+      id_conflict: "one id, two machines",
+      recording_paused: "nothing recorded",
     },
   },
   account: {
