@@ -13,7 +13,7 @@ use holdfast::config::{self, Machine};
 use holdfast::estimator::{Estimator, Options, Solution, split};
 use holdfast::evaluate;
 use holdfast::import::read_tum;
-use holdfast::reference::{self, ReferenceError};
+use holdfast::reference::{self, Memory, ReferenceError, Step};
 use holdfast::sensors::{Arrival, Reading};
 use holdfast::simulate::{Scenario, Simulation};
 use holdfast::smoother::PastNode;
@@ -21,6 +21,8 @@ use holdfast::state::StateVector;
 use holdfast::time::{Span, Stamp};
 
 use command::{Ended, empty_folder, holdfast, repository};
+
+const ENOUGH: Memory = Memory { allowed_mb: 4_000, goes_on_without: false };
 
 fn options() -> Options {
     let file = repository("config/machines/simulated-roof.toml");
@@ -195,8 +197,8 @@ fn a_recording_gives_what_its_log_folder_gives() {
 #[test]
 fn what_cannot_be_smoothed_is_refused_in_words() {
     let refused = |arrivals: &[Arrival]| {
-        let forward = reference::forward(arrivals, &BTreeSet::new(), options(), |_, _| {});
-        reference::smooth(&forward, 4_000, |_| {}).expect_err("refused")
+        let forward = reference::forward(arrivals, &BTreeSet::new(), options(), ENOUGH, |_, _| {});
+        reference::smooth(&forward, |_| {}).expect_err("refused")
     };
     assert_eq!(refused(&[]), ReferenceError::Empty);
     let arrivals = construction(20.0);
@@ -215,9 +217,42 @@ fn what_cannot_be_smoothed_is_refused_in_words() {
     let started = arrivals.iter().position(|arrival| estimator.push(arrival).is_some()).expect("starts");
     let error = refused(&arrivals[..started + 5]);
     assert!(matches!(error, ReferenceError::TooShort { .. }), "{error}");
-    let forward = reference::forward(&arrivals, &BTreeSet::new(), options(), |_, _| {});
-    let error = reference::smooth(&forward, 2, |_| {}).expect_err("refused");
-    assert!(matches!(error, ReferenceError::TooMuchMemory { allowed_mb: 2, .. }), "{error}");
+}
+
+#[test]
+fn memory_is_held_to_its_limit_along_the_run() {
+    let arrivals = construction(40.0);
+    let run = |goes_on_without: bool| {
+        let memory = Memory { allowed_mb: 2, goes_on_without };
+        let (mut last_s, mut most_nodes) = (0.0, 0);
+        let forward =
+            reference::forward(&arrivals, &BTreeSet::new(), options(), memory, |step, estimator| {
+                most_nodes = estimator.history_nodes()[0].max(most_nodes);
+                if let Step::Taken(arrival, _) = step {
+                    last_s = arrival.arrival.as_seconds();
+                }
+            });
+        assert!(forward.pasts.is_empty() && forward.live.is_empty());
+        let error = reference::smooth(&forward, |_| {}).expect_err("refused");
+        let ReferenceError::TooMuchMemory { at_s, whole_mb, allowed_mb: 2, .. } = error else {
+            panic!("{error}");
+        };
+        assert!(at_s > 1.0 && at_s < 15.0, "{at_s}");
+        // 19 kB a node of one chain, and 25 of them a second.
+        assert!((8..40).contains(&whole_mb), "{whole_mb}");
+        assert!(most_nodes * 19_000 <= 2_000_000 + 19_000, "{most_nodes}");
+        (at_s, last_s)
+    };
+    let (at_s, last_s) = run(false);
+    assert!(last_s < at_s + 1.0, "{at_s} {last_s}: it ends there");
+    let (_, last_s) = run(true);
+    assert!(last_s > 39.0, "{last_s}: those who watch see all of it");
+    // What was counted along the way is what there is at the end.
+    let mut counted = [0; 2];
+    let count = |_: Step<'_>, estimator: &Estimator| counted = estimator.history_nodes();
+    let forward = reference::forward(&arrivals, &BTreeSet::new(), options(), ENOUGH, count);
+    let nodes: usize = forward.pasts.iter().map(|past| past.nodes.len()).sum();
+    assert_eq!(counted, [nodes; 2]);
 }
 
 #[test]
@@ -227,8 +262,8 @@ fn parts_between_which_the_estimate_began_anew_are_solved_one_by_one() {
     arrivals.retain(
         |arrival| !matches!(&arrival.reading, Reading::Imu(sample) if (from..to).contains(&sample.stamp)),
     );
-    let forward = reference::forward(&arrivals, &BTreeSet::new(), options(), |_, _| {});
-    let smoothed = reference::smooth(&forward, 4_000, |_| {}).expect("solved");
+    let forward = reference::forward(&arrivals, &BTreeSet::new(), options(), ENOUGH, |_, _| {});
+    let smoothed = reference::smooth(&forward, |_| {}).expect("solved");
     assert_eq!((smoothed.chains.len(), smoothed.unsolved.len()), (2, 0));
     let mut last = Stamp::default();
     let mut in_gap = 0;

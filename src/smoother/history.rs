@@ -45,11 +45,15 @@ pub struct WindowStart {
 #[derive(Clone, Debug, Default)]
 pub(super) struct History {
     nodes: Vec<Arc<PastNode>>,
+    /// Of the chain that grows, and of the longest.
+    chain: [usize; 2],
     start: Option<Box<WindowStart>>,
 }
 
 impl History {
     fn append(&mut self, node: &Node, last: bool) {
+        let grown = if self.start.is_some() { 1 } else { self.chain[0] + 1 };
+        self.chain = [grown, self.chain[1].max(grown)];
         self.nodes.push(Arc::new(PastNode {
             stamp: node.stamp,
             estimate: node.estimate(),
@@ -83,6 +87,19 @@ impl Smoother {
     /// Keeps from now on what leaves the window: some 3 kB a node. To be called before the window is started.
     pub fn keep_history(&mut self) {
         self.history.get_or_insert_default();
+    }
+
+    /// Nodes that [`Smoother::take_history`] would give, and those of the longest chain among them.
+    pub fn history_nodes(&self) -> [usize; 2] {
+        let Some(history) = &self.history else { return [0; 2] };
+        let here = self.nodes.len();
+        let grows = if history.start.is_some() { here } else { history.chain[0] + here };
+        [history.nodes.len() + here, history.chain[1].max(grows)]
+    }
+
+    /// Gives up what was kept; nothing is kept from then on.
+    pub fn forget_history(&mut self) {
+        self.history = None;
     }
 
     /// All nodes that ever were in the window, oldest first, if they were kept; nothing is kept from then on. The
