@@ -118,6 +118,14 @@ impl Graphs {
         }
     }
 
+    /// No window reaches back further than its lag.
+    pub fn release(&mut self) {
+        self.main.hold(None);
+        if let Some(fallback) = &mut self.fallback {
+            fallback.hold(None);
+        }
+    }
+
     /// Ties two nodes of each graph, which has them or makes them.
     ///
     /// # Errors

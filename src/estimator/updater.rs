@@ -526,6 +526,9 @@ impl Updater {
             self.begin_anew(&format!("the start failed: it {error}"), None);
             return None;
         }
+        // A start in motion lies seconds back and is far from linear: nothing of it is laid down before all that is
+        // known of it has been heard.
+        smoother.hold(Some(start.stamp));
         let (mut gate, mut graphs) = (Gate::new(self.options.gate), Graphs::new(smoother));
         if start.fixes_agree {
             gate.begin_trusted(start.stamp);
@@ -551,6 +554,10 @@ impl Updater {
                 let restart = first.restart || newest.restart;
                 solution = Some(Box::new(Solution { restart, ..*newest }));
             }
+        }
+        if let Phase::Running(running) = &mut self.phase {
+            running.graphs.release();
+            running.lidar.hold(&mut running.graphs, &self.options);
         }
         solution
     }
