@@ -8,7 +8,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
-use holdfast::batch;
+use holdfast::batch::{self, SmoothedNode};
 use holdfast::config::{self, Machine};
 use holdfast::estimator::{Estimator, Options, Solution, split};
 use holdfast::evaluate;
@@ -253,6 +253,70 @@ fn memory_is_held_to_its_limit_along_the_run() {
     let forward = reference::forward(&arrivals, &BTreeSet::new(), options(), ENOUGH, count);
     let nodes: usize = forward.pasts.iter().map(|past| past.nodes.len()).sum();
     assert_eq!(counted, [nodes; 2]);
+}
+
+/// Blind for longer than a window is held, in an outage: the window brings the position back by a pose in the world.
+#[test]
+fn lidar_that_was_blind_for_minutes_is_tied_to_where_it_fell_blind() {
+    let (lost_s, blind_s, end_s) = (40.0..200.0, 45.0..190.0, 215.0);
+    let scenario = Scenario::load(&repository("config/scenarios/navigation.toml")).expect("scenario");
+    let simulation = Simulation::new(&scenario, 0);
+    let options = simulation.machine().estimator_options();
+    let readings = Simulation::new(&scenario, 0);
+    let is_fix = |reading: &Reading| matches!(reading, Reading::GnssLeft(_) | Reading::GnssRight(_));
+    let arrivals: Vec<Arrival> = readings
+        .take_while(|arrival| arrival.arrival < Stamp::from_seconds(end_s))
+        .filter(|arrival| {
+            let at_s = arrival.reading.stamp().as_seconds();
+            let lost = is_fix(&arrival.reading) && lost_s.contains(&at_s);
+            !lost && !(matches!(arrival.reading, Reading::LidarOdometry(_)) && blind_s.contains(&at_s))
+        })
+        .collect();
+    // In the outage fallback answers, after it main, which never had the pose.
+    for until_s in [198.0, end_s] {
+        let until = arrivals.partition_point(|arrival| arrival.arrival < Stamp::from_seconds(until_s));
+        let run =
+            reference::forward(&arrivals[..until], &BTreeSet::new(), options.clone(), ENOUGH, |_, _| {});
+        let nodes: Vec<&Arc<PastNode>> = run.pasts.iter().flat_map(|past| &past.nodes).collect();
+        assert!(nodes.iter().all(|node| node.poses.is_empty()), "as one they are relative");
+        let long = |node: &&&Arc<PastNode>| {
+            node.edges.iter().any(|(later, _)| later.seconds_since(node.stamp) > 140.0)
+        };
+        assert_eq!(nodes.iter().filter(long).count(), 1, "one over all of the blindness, until {until_s} s");
+        let smoothed = reference::smooth(&run, |_| {}).expect("solved");
+        // Fixes that contradict the live estimate when they come back seat it anew: what was before is a chain of its own.
+        assert!(smoothed.chains[0].converged && smoothed.unsolved.is_empty());
+        let chain = batch::chains(&run.pasts[0].nodes).next().expect("a chain");
+        // What the same session would be without it.
+        let untied: Vec<Arc<PastNode>> = chain
+            .iter()
+            .map(|node| {
+                let mut node = PastNode::clone(node);
+                node.edges.retain(|(later, _)| later.seconds_since(node.stamp) < 140.0);
+                Arc::new(node)
+            })
+            .collect();
+        let untied = batch::solve(&untied, &batch::Options::new(options.smoother.gravity), |_| {});
+        let untied = untied.expect("solved").nodes;
+        // Of the last node before: distance from the truth, and sigma of the position, m.
+        let of = |nodes: &[SmoothedNode], second: f64| {
+            let last = nodes.partition_point(|node| node.stamp <= Stamp::from_seconds(second)) - 1;
+            let node = &nodes[last];
+            let truth = simulation.truth(node.stamp).state.position;
+            let variance: f64 = (3..6).map(|axis| node.covariance[(axis, axis)]).sum();
+            ((node.state.position - truth).norm(), variance.sqrt())
+        };
+        for second in [44.0, 50.0, 100.0, 150.0, 189.0, 195.0] {
+            let ((off_m, sigma_m), (alone_m, _)) =
+                (of(&smoothed.chains[0].nodes, second), of(&untied, second));
+            println!(
+                "until {until_s} s, {} chains: at {second} s {off_m:.3} m off, sigma {sigma_m:.3} m, {alone_m:.3} m untied",
+                smoothed.chains.len()
+            );
+            assert!(off_m < 3.5 * sigma_m, "at {second} s {off_m} m off, sigma {sigma_m} m");
+            assert!(second < 150.0 || off_m < 0.5 * alone_m, "{off_m} m, {alone_m} m untied");
+        }
+    }
 }
 
 #[test]

@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 use super::Smoother;
 use super::node::{Edge, Node};
-use crate::factors::{ImuFactor, PoseFactor, PositionFactor};
+use crate::factors::{BetweenFactor, ImuFactor, PoseFactor, PositionFactor};
 use crate::state::{NavState, StateMatrix};
 use crate::time::Stamp;
 
@@ -48,6 +48,16 @@ pub(super) struct History {
     /// Of the chain that grows, and of the longest.
     chain: [usize; 2],
     start: Option<Box<WindowStart>>,
+    /// Of the chain that grows.
+    ties: Vec<Tie>,
+}
+
+/// How two nodes of a chain lie to each other that a window did not hold at once.
+#[derive(Clone, Copy, Debug)]
+struct Tie {
+    earlier: Stamp,
+    later: Stamp,
+    factor: BetweenFactor,
 }
 
 impl History {
@@ -75,6 +85,11 @@ impl History {
         let last = nodes.len().saturating_sub(1);
         nodes.iter().enumerate().for_each(|(index, node)| self.append(node, index == last));
         self.start = None;
+        let ties = std::mem::take(&mut self.ties);
+        if !nodes.is_empty() {
+            let first = self.nodes.len() - self.chain[0];
+            ties.iter().for_each(|tie| tie.put_into(&mut self.nodes[first..]));
+        }
     }
 
     /// The window starts, after [`History::close`].
@@ -83,7 +98,26 @@ impl History {
     }
 }
 
+impl Tie {
+    /// Gives the chain the relative pose. The pose factor by which the window took the same measurement goes.
+    fn put_into(&self, chain: &mut [Arc<PastNode>]) {
+        let place = |stamp: Stamp| chain.binary_search_by_key(&stamp, |node| node.stamp);
+        let (Ok(earlier), Ok(later)) = (place(self.earlier), place(self.later)) else { return };
+        Arc::make_mut(&mut chain[earlier]).edges.push((self.later, Edge::Between(self.factor)));
+        Arc::make_mut(&mut chain[later]).poses.clear();
+    }
+}
+
 impl Smoother {
+    /// Tells those who solve the chain as a whole how a node lies to an older one, which may have left the window long
+    /// ago: to the window this changes nothing. A pose factor of the later node stands for the same measurement, and is
+    /// theirs no more.
+    pub fn note_relative(&mut self, earlier: Stamp, later: Stamp, factor: BetweenFactor) {
+        if let Some(history) = &mut self.history {
+            history.ties.push(Tie { earlier, later, factor });
+        }
+    }
+
     /// Keeps from now on what leaves the window: some 3 kB a node. To be called before the window is started.
     pub fn keep_history(&mut self) {
         self.history.get_or_insert_default();
