@@ -297,7 +297,7 @@ fn readings_of_a_clock_that_is_ahead_are_refused_in_their_own_book() {
         for mut arrival in simulation {
             // The right receiver's clock is an hour ahead from the start.
             if let Reading::GnssRight(fix) = &mut arrival.reading {
-                fix.stamp = fix.stamp + Span::from_millis(3_600_000);
+                fix.stamp += Span::from_millis(3_600_000);
                 ahead += u64::from(method.health().waits_for.is_none());
             }
             method.predict(&arrival);
