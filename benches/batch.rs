@@ -7,7 +7,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 use std::time::Instant;
 
-use holdfast::reference::{forward, smooth};
+use holdfast::reference::{Memory, forward, smooth};
 use holdfast::simulate::{Scenario, Simulation};
 use holdfast::time::Stamp;
 
@@ -31,12 +31,13 @@ fn main() {
     let end = Stamp::from_seconds(60.0 * f64::from(minutes));
     let arrivals: Vec<_> = simulation.take_while(|arrival| arrival.arrival < end).collect();
     let [readings_mb, _] = memory_mb();
+    let memory = Memory { allowed_mb: usize::MAX, goes_on_without: false };
     let begun = Instant::now();
-    let run = forward(&arrivals, &BTreeSet::new(), options, |_, _| {});
+    let run = forward(&arrivals, &BTreeSet::new(), options, memory, |_, _| {});
     let forward_s = begun.elapsed().as_secs_f64();
     let [forward_mb, _] = memory_mb();
     let begun = Instant::now();
-    let smoothed = smooth(&run, usize::MAX, |_| {}).expect("the session can be solved");
+    let smoothed = smooth(&run, |_| {}).expect("the session can be solved");
     let batch_s = begun.elapsed().as_secs_f64();
     let [_, most_mb] = memory_mb();
     let nodes: usize = smoothed.chains.iter().map(|chain| chain.nodes.len()).sum();

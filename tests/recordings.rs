@@ -89,6 +89,9 @@ fn car_with_one_antenna_is_followed_to_centimetres() {
     tell("rtk_drive0708, from 30 s of motion on", &errors);
     let to_fixes_m = rmse_to_fixes(&log, &settled);
     println!("rtk_drive0708, from 30 s of motion on: RMSE to the fixes {:.2} cm", 100.0 * to_fixes_m);
+    // What is required, 2 cm, and 1.99 cm are measured: it cannot be much less. The fixes themselves are good to 1.00 cm
+    // east and north and 1.07 cm up by their own report, 1.77 cm in all, which whoever does not know them yet sees in
+    // full. So the prediction's own part is 0.9 cm.
     assert!(to_fixes_m <= 0.02, "{to_fixes_m}");
     assert!(began_s < 5.0, "{began_s}");
     assert!(errors.position_m.rmse <= 0.03, "{errors:?}");

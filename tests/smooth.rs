@@ -8,12 +8,12 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
-use holdfast::batch;
+use holdfast::batch::{self, SmoothedNode};
 use holdfast::config::{self, Machine};
 use holdfast::estimator::{Estimator, Options, Solution, split};
 use holdfast::evaluate;
 use holdfast::import::read_tum;
-use holdfast::reference::{self, ReferenceError};
+use holdfast::reference::{self, Memory, ReferenceError, Step};
 use holdfast::sensors::{Arrival, Reading};
 use holdfast::simulate::{Scenario, Simulation};
 use holdfast::smoother::PastNode;
@@ -21,6 +21,8 @@ use holdfast::state::StateVector;
 use holdfast::time::{Span, Stamp};
 
 use command::{Ended, empty_folder, holdfast, repository};
+
+const ENOUGH: Memory = Memory { allowed_mb: 4_000, goes_on_without: false };
 
 fn options() -> Options {
     let file = repository("config/machines/simulated-roof.toml");
@@ -195,8 +197,8 @@ fn a_recording_gives_what_its_log_folder_gives() {
 #[test]
 fn what_cannot_be_smoothed_is_refused_in_words() {
     let refused = |arrivals: &[Arrival]| {
-        let forward = reference::forward(arrivals, &BTreeSet::new(), options(), |_, _| {});
-        reference::smooth(&forward, 4_000, |_| {}).expect_err("refused")
+        let forward = reference::forward(arrivals, &BTreeSet::new(), options(), ENOUGH, |_, _| {});
+        reference::smooth(&forward, |_| {}).expect_err("refused")
     };
     assert_eq!(refused(&[]), ReferenceError::Empty);
     let arrivals = construction(20.0);
@@ -215,9 +217,107 @@ fn what_cannot_be_smoothed_is_refused_in_words() {
     let started = arrivals.iter().position(|arrival| estimator.push(arrival).is_some()).expect("starts");
     let error = refused(&arrivals[..started + 5]);
     assert!(matches!(error, ReferenceError::TooShort { .. }), "{error}");
-    let forward = reference::forward(&arrivals, &BTreeSet::new(), options(), |_, _| {});
-    let error = reference::smooth(&forward, 2, |_| {}).expect_err("refused");
-    assert!(matches!(error, ReferenceError::TooMuchMemory { allowed_mb: 2, .. }), "{error}");
+}
+
+#[test]
+fn memory_is_held_to_its_limit_along_the_run() {
+    let arrivals = construction(40.0);
+    let run = |goes_on_without: bool| {
+        let memory = Memory { allowed_mb: 2, goes_on_without };
+        let (mut last_s, mut most_nodes) = (0.0, 0);
+        let forward =
+            reference::forward(&arrivals, &BTreeSet::new(), options(), memory, |step, estimator| {
+                most_nodes = estimator.history_nodes()[0].max(most_nodes);
+                if let Step::Taken(arrival, _) = step {
+                    last_s = arrival.arrival.as_seconds();
+                }
+            });
+        assert!(forward.pasts.is_empty() && forward.live.is_empty());
+        let error = reference::smooth(&forward, |_| {}).expect_err("refused");
+        let ReferenceError::TooMuchMemory { at_s, whole_mb, allowed_mb: 2, .. } = error else {
+            panic!("{error}");
+        };
+        assert!(at_s > 1.0 && at_s < 15.0, "{at_s}");
+        // 19 kB a node of one chain, and 25 of them a second.
+        assert!((8..40).contains(&whole_mb), "{whole_mb}");
+        assert!(most_nodes * 19_000 <= 2_000_000 + 19_000, "{most_nodes}");
+        (at_s, last_s)
+    };
+    let (at_s, last_s) = run(false);
+    assert!(last_s < at_s + 1.0, "{at_s} {last_s}: it ends there");
+    let (_, last_s) = run(true);
+    assert!(last_s > 39.0, "{last_s}: those who watch see all of it");
+    // What was counted along the way is what there is at the end.
+    let mut counted = [0; 2];
+    let count = |_: Step<'_>, estimator: &Estimator| counted = estimator.history_nodes();
+    let forward = reference::forward(&arrivals, &BTreeSet::new(), options(), ENOUGH, count);
+    let nodes: usize = forward.pasts.iter().map(|past| past.nodes.len()).sum();
+    assert_eq!(counted, [nodes; 2]);
+}
+
+/// Blind for longer than a window is held, in an outage: the window brings the position back by a pose in the world.
+#[test]
+fn lidar_that_was_blind_for_minutes_is_tied_to_where_it_fell_blind() {
+    let (lost_s, blind_s, end_s) = (40.0..200.0, 45.0..190.0, 215.0);
+    let scenario = Scenario::load(&repository("config/scenarios/navigation.toml")).expect("scenario");
+    let simulation = Simulation::new(&scenario, 0);
+    let options = simulation.machine().estimator_options();
+    let readings = Simulation::new(&scenario, 0);
+    let is_fix = |reading: &Reading| matches!(reading, Reading::GnssLeft(_) | Reading::GnssRight(_));
+    let arrivals: Vec<Arrival> = readings
+        .take_while(|arrival| arrival.arrival < Stamp::from_seconds(end_s))
+        .filter(|arrival| {
+            let at_s = arrival.reading.stamp().as_seconds();
+            let lost = is_fix(&arrival.reading) && lost_s.contains(&at_s);
+            let blind = matches!(arrival.reading, Reading::LidarOdometry(_)) && blind_s.contains(&at_s);
+            !(lost || blind)
+        })
+        .collect();
+    // In the outage fallback answers, after it main, which never had the pose.
+    for until_s in [198.0, end_s] {
+        let until = arrivals.partition_point(|arrival| arrival.arrival < Stamp::from_seconds(until_s));
+        let run =
+            reference::forward(&arrivals[..until], &BTreeSet::new(), options.clone(), ENOUGH, |_, _| {});
+        let nodes: Vec<&Arc<PastNode>> = run.pasts.iter().flat_map(|past| &past.nodes).collect();
+        assert!(nodes.iter().all(|node| node.poses.is_empty()), "as one they are relative");
+        let long = |node: &&&Arc<PastNode>| {
+            node.edges.iter().any(|(later, _)| later.seconds_since(node.stamp) > 140.0)
+        };
+        assert_eq!(nodes.iter().filter(long).count(), 1, "one over all of the blindness, until {until_s} s");
+        let smoothed = reference::smooth(&run, |_| {}).expect("solved");
+        // Fixes that contradict the live estimate when they come back seat it anew: what was before is a chain of its own.
+        assert!(smoothed.chains[0].converged && smoothed.unsolved.is_empty());
+        let chain = batch::chains(&run.pasts[0].nodes).next().expect("a chain");
+        // What the same session would be without it.
+        let untied: Vec<Arc<PastNode>> = chain
+            .iter()
+            .map(|node| {
+                let mut node = PastNode::clone(node);
+                node.edges.retain(|(later, _)| later.seconds_since(node.stamp) < 140.0);
+                Arc::new(node)
+            })
+            .collect();
+        let untied = batch::solve(&untied, &batch::Options::new(options.smoother.gravity), |_| {});
+        let untied = untied.expect("solved").nodes;
+        // Of the last node before: distance from the truth, and sigma of the position, m.
+        let of = |nodes: &[SmoothedNode], second: f64| {
+            let last = nodes.partition_point(|node| node.stamp <= Stamp::from_seconds(second)) - 1;
+            let node = &nodes[last];
+            let truth = simulation.truth(node.stamp).state.position;
+            let variance: f64 = (3..6).map(|axis| node.covariance[(axis, axis)]).sum();
+            ((node.state.position - truth).norm(), variance.sqrt())
+        };
+        for second in [44.0, 50.0, 100.0, 150.0, 189.0, 195.0] {
+            let ((off_m, sigma_m), (alone_m, _)) =
+                (of(&smoothed.chains[0].nodes, second), of(&untied, second));
+            println!(
+                "until {until_s} s, {} chains: at {second} s {off_m:.3} m off, sigma {sigma_m:.3} m, {alone_m:.3} m untied",
+                smoothed.chains.len()
+            );
+            assert!(off_m < 3.5 * sigma_m, "at {second} s {off_m} m off, sigma {sigma_m} m");
+            assert!(second < 150.0 || off_m < 0.5 * alone_m, "{off_m} m, {alone_m} m untied");
+        }
+    }
 }
 
 #[test]
@@ -227,8 +327,8 @@ fn parts_between_which_the_estimate_began_anew_are_solved_one_by_one() {
     arrivals.retain(
         |arrival| !matches!(&arrival.reading, Reading::Imu(sample) if (from..to).contains(&sample.stamp)),
     );
-    let forward = reference::forward(&arrivals, &BTreeSet::new(), options(), |_, _| {});
-    let smoothed = reference::smooth(&forward, 4_000, |_| {}).expect("solved");
+    let forward = reference::forward(&arrivals, &BTreeSet::new(), options(), ENOUGH, |_, _| {});
+    let smoothed = reference::smooth(&forward, |_| {}).expect("solved");
     assert_eq!((smoothed.chains.len(), smoothed.unsolved.len()), (2, 0));
     let mut last = Stamp::default();
     let mut in_gap = 0;

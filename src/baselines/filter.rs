@@ -3,10 +3,10 @@
 
 use std::collections::VecDeque;
 
-use crate::estimator::{Admitted, Correction, Method, Options, Start, Starter};
+use crate::estimator::{AHEAD_MAX, Admitted, Correction, Method, Options, Start, Starter};
 use crate::frames::{Imu, Odom, Pose, World};
 use crate::preintegration::{Preintegration, SampleBuffer, Step, propagate};
-use crate::sensors::{Arrival, ImuSample, Reading, Sensor};
+use crate::sensors::{Arrival, ImuSample, Reading};
 use crate::smoother::predict_covariance;
 use crate::state::{Estimate, Event, EventKind, GnssState, Health, Mode, NavState, Severity, StateMatrix};
 use crate::time::{Span, Stamp};
@@ -112,7 +112,7 @@ impl<C: Core> Filter<C> {
             if reading.stamp() <= newest {
                 core.take(&self.options, &reading, &self.samples);
             } else {
-                self.pending.push_back(reading);
+                self.wait(reading, newest);
             }
         }
         self.running = Running::carried(core, &self.options, &self.samples);
@@ -140,6 +140,17 @@ impl<C: Core> Filter<C> {
                 Some(Correction { correction_m: Some(moved_m) })
             }
             Took::Moved | Took::Nothing => Some(Correction { correction_m: None }),
+        }
+    }
+
+    /// Keeps a reading until the IMU, now at `imu`, has come so far, unless it never will.
+    fn wait(&mut self, reading: Reading, imu: Stamp) {
+        let ahead = reading.stamp() - imu;
+        if ahead > AHEAD_MAX || self.pending.len() >= PENDING_MAX {
+            let reason = format!("is {:.3} s ahead of the cabin IMU", ahead.as_seconds());
+            self.starter.refuse(reading.sensor(), reason);
+        } else {
+            self.pending.push_back(reading);
         }
     }
 
@@ -301,12 +312,7 @@ impl<C: Core> Method for Filter<C> {
                 if reading.stamp() <= newest {
                     return self.take(reading);
                 }
-                if self.pending.len() < PENDING_MAX {
-                    self.pending.push_back(*reading);
-                } else {
-                    let reason = "too many readings are ahead of the cabin IMU".to_owned();
-                    self.starter.refuse(Sensor::Imu, reason);
-                }
+                self.wait(*reading, newest);
                 None
             }
             Reading::BaseImu(_) | Reading::CabinTurn(_) => None,

@@ -1,7 +1,7 @@
 //! Which fixes the filters believe.
 //!
-//! A fix is left out if its reported sigmas are over the machine's `gnss.sigma_max_m`. With an outlier test, it is also
-//! left out if its innovation is beyond the 99.9 % bound of the chi-square distribution; fixes that are left out for
+//! A fix is left out if its reported sigmas are over the machine's `gnss.sigma_max_m`. Where innovations are judged, it is
+//! also left out if its innovation is beyond the 99.9 % bound of the chi-square distribution; fixes that are left out for
 //! that for longer than [`CONTRADICTION_MAX`] are right, and are believed until one agrees again: a filter that has
 //! gone astray would else never come back.
 
@@ -30,18 +30,13 @@ pub(super) struct Fix {
     pub sigma: Vec3,
 }
 
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct FixGate {
-    tests_innovations: bool,
     contradicted_since: Option<Stamp>,
     last_used: Option<Stamp>,
 }
 
 impl FixGate {
-    pub fn new(tests_innovations: bool) -> Self {
-        Self { tests_innovations, contradicted_since: None, last_used: None }
-    }
-
     /// What a fix amounts to, unless the receiver itself says that it is bad.
     pub fn read(
         options: &GateOptions,
@@ -66,7 +61,7 @@ impl FixGate {
     pub fn judge(&mut self, stamp: Stamp, innovation: &Vec3, covariance: &Mat3) -> Result<(), String> {
         let solved = covariance.cholesky().map(|factor| factor.solve(innovation));
         let squared = solved.map_or(f64::INFINITY, |solved| innovation.dot(&solved));
-        if squared <= LIMIT || !self.tests_innovations {
+        if squared <= LIMIT {
             self.contradicted_since = None;
         } else {
             let since = *self.contradicted_since.get_or_insert(stamp);
@@ -74,8 +69,13 @@ impl FixGate {
                 return Err(format!("squared innovation {squared:.1} is over {LIMIT}"));
             }
         }
-        self.last_used = Some(self.last_used.map_or(stamp, |last| last.max(stamp)));
+        self.note_used(stamp);
         Ok(())
+    }
+
+    /// A fix is used.
+    pub fn note_used(&mut self, stamp: Stamp) {
+        self.last_used = Some(self.last_used.map_or(stamp, |last| last.max(stamp)));
     }
 
     /// Whether fixes are in use.

@@ -13,6 +13,7 @@ use crate::state::{Estimate, Event, EventKind, Health, Mode, NavState, Severity,
 use crate::time::{Span, Stamp};
 
 use super::filter::{estimate, health};
+use super::lidar_pace::LidarPace;
 
 /// While no lidar pose has come, samples are kept so long.
 const SAMPLES_KEPT: Span = Span::from_millis(1_000);
@@ -47,6 +48,7 @@ struct Aligned {
     state: NavState,
     covariance: StateMatrix,
     last: Stamp,
+    pace: LidarPace,
 }
 
 impl LidarAlone {
@@ -89,7 +91,8 @@ impl LidarAlone {
                 let lidarmap_from_imu = pose.lidarmap_from_lidar * self.options.imu_from_lidar.inverse();
                 let world_from_lidarmap = state.world_from_imu() * lidarmap_from_imu.inverse();
                 let covariance = started.covariance;
-                let aligned = Aligned { world_from_lidarmap, state, covariance, last: pose.stamp };
+                let (last, pace) = (pose.stamp, LidarPace::default());
+                let aligned = Aligned { world_from_lidarmap, state, covariance, last, pace };
                 self.phase = Phase::Aligned(Box::new(aligned));
                 None
             }
@@ -126,7 +129,8 @@ impl Aligned {
         let span_s = pose.stamp.seconds_since(self.last);
         let moved = world_from_imu.translation() - self.state.position;
         let turn = world_from_imu.rotation().minus(&self.state.rotation);
-        self.walk(&moved, &turn, options);
+        let sigma = self.pace.sigma(options.lidar_sigma, pose.stamp - self.last);
+        self.walk(&moved, &turn, sigma);
         self.state = NavState {
             rotation: world_from_imu.rotation().renormalized(),
             position: world_from_imu.translation(),
@@ -139,8 +143,8 @@ impl Aligned {
         estimate(&sample, &self.state, &self.covariance, Mode::Fallback)
     }
 
-    /// Errors of rotation so far turn the motion; one more increment adds its own.
-    fn walk(&mut self, moved: &Vec3, turn: &Vec3, options: &Options) {
+    /// Errors of rotation so far turn the motion; the increments since add their own: rad, m.
+    fn walk(&mut self, moved: &Vec3, turn: &Vec3, [turn_sigma, shift_sigma]: [f64; 2]) {
         let mut by_rotation = StateMatrix::identity();
         let turned_back = So3::exp(turn).matrix().transpose();
         by_rotation.fixed_view_mut::<3, 3>(row::ROTATION, row::ROTATION).copy_from(&turned_back);
@@ -148,9 +152,8 @@ impl Aligned {
         by_rotation.fixed_view_mut::<3, 3>(row::POSITION, row::ROTATION).copy_from(&turned);
         self.covariance = by_rotation * self.covariance * by_rotation.transpose();
         for axis in 0..3 {
-            let [turn, shift] = options.lidar_sigma;
-            self.covariance[(row::ROTATION + axis, row::ROTATION + axis)] += turn * turn;
-            self.covariance[(row::POSITION + axis, row::POSITION + axis)] += shift * shift;
+            self.covariance[(row::ROTATION + axis, row::ROTATION + axis)] += turn_sigma * turn_sigma;
+            self.covariance[(row::POSITION + axis, row::POSITION + axis)] += shift_sigma * shift_sigma;
         }
     }
 }

@@ -9,6 +9,7 @@ mod dead_reckoning;
 mod filter;
 mod fix_gate;
 mod lidar_alone;
+mod lidar_pace;
 mod msf;
 mod transition;
 mod tsif;

@@ -14,6 +14,7 @@ use nalgebra::{SMatrix, SVector};
 
 use super::filter::{Core, Took};
 use super::fix_gate::{Fix, FixGate};
+use super::lidar_pace::LidarPace;
 use super::transition::transition;
 use crate::estimator::{Options, Start};
 use crate::factors::{BetweenFactor, PositionFactor};
@@ -71,6 +72,7 @@ pub(super) struct Belief {
     pub covariance: Matrix,
     /// The pose at the lidar pose that comes with it.
     clone: Option<(Se3, LidarPose)>,
+    pace: LidarPace,
     gate: FixGate,
 }
 
@@ -78,7 +80,8 @@ impl Belief {
     pub fn new(state: NavState, covariance: &StateMatrix) -> Self {
         let mut whole = Matrix::identity();
         whole.fixed_view_mut::<STATE_DIM, STATE_DIM>(0, 0).copy_from(covariance);
-        Self { state, covariance: whole, clone: None, gate: FixGate::new(true) }
+        let (pace, gate) = (LidarPace::default(), FixGate::default());
+        Self { state, covariance: whole, clone: None, pace, gate }
     }
 
     pub fn state_covariance(&self) -> StateMatrix {
@@ -158,7 +161,7 @@ impl Belief {
         let factor = BetweenFactor {
             measured: *(before.lidarmap_from_lidar.inverse() * pose.lidarmap_from_lidar).motion(),
             imu_from_sensor: *options.imu_from_lidar.motion(),
-            sigma: options.lidar_sigma,
+            sigma: self.pace.sigma(options.lidar_sigma, pose.stamp - before.stamp),
         };
         let then = NavState { rotation: at.rotation, position: at.translation, ..self.state };
         let linear = factor.linearize(&then, &self.state);

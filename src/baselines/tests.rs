@@ -14,7 +14,7 @@ use crate::estimator::Start;
 use crate::frames::{Imu, Lidar, LidarMap, Pose};
 use crate::lie::{Se3, So3, Vec3};
 use crate::preintegration::{Preintegration, SampleBuffer, Step};
-use crate::sensors::{GnssFix, ImuSample, LidarPose, Reading};
+use crate::sensors::{GnssFix, ImuSample, LidarPose, Reading, Sensor};
 use crate::simulate::{Scenario, Simulation};
 use crate::state::{NavState, STATE_DIM, StateMatrix, StateVector, row};
 use crate::time::{Span, Stamp};
@@ -234,6 +234,83 @@ fn variance_of_lidar_increments_adds_up_through_the_clone() {
         let expected = index as f64 * 0.01_f64.powi(2);
         assert!((variance / expected - 1.0).abs() < 0.01, "{index}: {variance} against {expected}");
         assert!((belief.state.position.x - 0.1 * index as f64).abs() < 1e-3);
+    }
+}
+
+#[test]
+fn increments_that_were_lost_count_as_much_as_those_that_came() {
+    let mut options = line_options();
+    options.imu_from_lidar = Pose::<Imu, Lidar>::identity();
+    options.lidar_sigma = [1e-3, 0.01];
+    options.smoother.noise.accelerometer_noise_density = 100.0;
+    let mut belief = Belief::new(NavState::identity(), &(StateMatrix::identity() * 1e-12));
+    let at = |index: i64| Stamp::from_nanos(index * 200_000_000);
+    let mut before = 0;
+    for index in [0, 1, 2, 3, 12, 13] {
+        let steps = (0..20 * (index - before)).map(|_| Step {
+            span_s: 0.01,
+            angular_rate: Vec3::zeros(),
+            specific_force: -options.smoother.gravity,
+            change: [Vec3::zeros(); 2],
+        });
+        let noise = &options.smoother.noise;
+        belief.predict(&Preintegration::of_steps(steps, Vec3::zeros(), Vec3::zeros(), noise), &options);
+        belief.take_lidar(&lidar(at(index), 0.1 * index as f64), &options).expect("possible");
+        before = index;
+    }
+    let variance = belief.state_covariance()[(row::POSITION, row::POSITION)];
+    let expected = 13.0 * 0.01_f64.powi(2);
+    assert!((variance / expected - 1.0).abs() < 0.01, "{variance} against {expected}");
+}
+
+#[test]
+fn lidar_alone_is_no_surer_for_poses_that_were_lost() {
+    let sigma = |gap: [f64; 2]| {
+        let end = Stamp::from_seconds(60.0);
+        let simulation = Simulation::new(&scenario("construction.toml"), 0).ending_at(end);
+        let mut method = Kind::Lidar.estimator(simulation.machine().estimator_options());
+        let lost = |stamp: Stamp| (gap[0]..gap[1]).contains(&stamp.as_seconds());
+        let mut last = None;
+        for arrival in simulation {
+            if matches!(arrival.reading, Reading::LidarOdometry(_)) && lost(arrival.reading.stamp()) {
+                continue;
+            }
+            last = method.predict(&arrival).or(last);
+            method.update(&arrival);
+        }
+        let last = last.expect("it started");
+        [last.position_sigma_m()[2], last.state.heading_variance(&last.covariance).sqrt()]
+    };
+    let (whole, with_gap) = (sigma([0.0; 2]), sigma([20.0, 55.0]));
+    for (whole, with_gap) in whole.into_iter().zip(with_gap) {
+        assert!((with_gap / whole - 1.0).abs() < 0.1, "{with_gap} beside {whole}");
+    }
+}
+
+#[test]
+fn readings_of_a_clock_that_is_ahead_are_refused_in_their_own_book() {
+    for kind in [Kind::Tsif, Kind::Msf] {
+        let simulation =
+            Simulation::new(&scenario("construction.toml"), 0).ending_at(Stamp::from_seconds(15.0));
+        let mut method = kind.estimator(simulation.machine().estimator_options());
+        let mut ahead = 0;
+        for mut arrival in simulation {
+            // The right receiver's clock is an hour ahead from the start.
+            if let Reading::GnssRight(fix) = &mut arrival.reading {
+                fix.stamp += Span::from_millis(3_600_000);
+                ahead += u64::from(method.health().waits_for.is_none());
+            }
+            method.predict(&arrival);
+            method.update(&arrival);
+        }
+        let health = method.health();
+        let of =
+            |sensor: Sensor| health.sensors.iter().find(|health| health.sensor == sensor).expect("heard");
+        let right = of(Sensor::GnssRight);
+        assert!(ahead > 50 && right.refused >= ahead, "{}: {} of {ahead}", kind.name(), right.refused);
+        let why = right.last_refusal.as_deref().unwrap_or_default();
+        assert!(why.contains("ahead of the cabin IMU"), "{why}");
+        assert_eq!((of(Sensor::Imu).refused, of(Sensor::GnssLeft).refused), (0, 0));
     }
 }
 

@@ -193,25 +193,17 @@ impl Tsif {
     }
 
     /// Up to `until`, over all fixes on the way.
-    fn advance(&mut self, until: Stamp, options: &Options, samples: &SampleBuffer) -> Result<bool, String> {
+    fn advance(&mut self, until: Stamp, options: &Options, samples: &SampleBuffer) -> bool {
         let mut moved = false;
-        let mut refusal = None;
         loop {
             let next = self.waiting.front().map(|fix| fix.stamp).filter(|stamp| *stamp <= until);
             let target = next.unwrap_or(until);
             if target > self.stamp {
                 let steps: Option<Vec<Step>> = samples.steps(self.stamp, target).map(Iterator::collect);
                 let Some(steps) = steps.filter(|steps| !steps.is_empty()) else { break };
+                let last = steps.len() - 1;
                 for (index, step) in steps.iter().enumerate() {
-                    let fixes = if index + 1 == steps.len() {
-                        self.take_fixes(target, step, options)
-                    } else {
-                        Ok(Vec::new())
-                    };
-                    let fixes = fixes.unwrap_or_else(|(reason, fixes)| {
-                        refusal = Some(reason);
-                        fixes
-                    });
+                    let fixes = if index == last { self.take_fixes(target) } else { Vec::new() };
                     self.step(step, &fixes, options);
                 }
                 self.stamp = target;
@@ -222,34 +214,17 @@ impl Tsif {
                 self.waiting.pop_front();
             }
         }
-        refusal.map_or(Ok(moved), Err)
+        moved
     }
 
-    /// The fixes of `stamp` that are believed; an error has what is left of them, too.
-    fn take_fixes(
-        &mut self,
-        stamp: Stamp,
-        step: &Step,
-        options: &Options,
-    ) -> Result<Vec<Fix>, (String, Vec<Fix>)> {
-        let mut believed = Vec::new();
-        let mut refusal = None;
-        let expected = guess(&self.mean, step, &options.smoother.gravity);
+    /// The fixes of `stamp`: all are believed.
+    fn take_fixes(&mut self, stamp: Stamp) -> Vec<Fix> {
+        let mut fixes = Vec::new();
         while let Some(fix) = self.waiting.pop_front_if(|fix| fix.stamp == stamp) {
-            let innovation = fix.measured - (expected.nav.position + expected.nav.rotation * fix.lever_arm);
-            let covariance = self.state_covariance();
-            let here =
-                crate::smoother::predicted_position_covariance(&expected.nav, &covariance, &fix.lever_arm);
-            let whole = here + Mat3::from_diagonal(&fix.sigma.component_mul(&fix.sigma));
-            match self.gate.judge(stamp, &innovation, &whole) {
-                Ok(()) => believed.push(fix),
-                Err(reason) => refusal = Some(reason),
-            }
+            self.gate.note_used(stamp);
+            fixes.push(fix);
         }
-        match refusal {
-            Some(reason) => Err((reason, believed)),
-            None => Ok(believed),
-        }
+        fixes
     }
 
     fn state_covariance(&self) -> StateMatrix {
@@ -288,7 +263,7 @@ impl Core for Tsif {
         let prior = start.information.fixed_view::<RATE, RATE>(0, 0);
         information.fixed_view_mut::<RATE, RATE>(0, 0).copy_from(&prior);
         let mean = TwoState { nav: start.state, rate: Vec3::zeros() };
-        Self { stamp: start.stamp, mean, information, gate: FixGate::new(false), waiting: VecDeque::new() }
+        Self { stamp: start.stamp, mean, information, gate: FixGate::default(), waiting: VecDeque::new() }
     }
 
     fn take(&mut self, options: &Options, reading: &Reading, samples: &SampleBuffer) -> Took {
@@ -298,10 +273,9 @@ impl Core for Tsif {
                 let waited = (newest - WAIT).max(self.stamp);
                 let fixes = self.waiting.len();
                 return match self.advance(waited, options, samples) {
-                    Ok(true) if self.waiting.len() == fixes => Took::Moved,
-                    Ok(true) => Took::Updated,
-                    Ok(false) => Took::Nothing,
-                    Err(reason) => Took::Refused(reason),
+                    true if self.waiting.len() == fixes => Took::Moved,
+                    true => Took::Updated,
+                    false => Took::Nothing,
                 };
             }
             Reading::GnssLeft(fix) => (fix, Some(options.antenna_left)),
@@ -324,11 +298,7 @@ impl Core for Tsif {
         if of_epoch < 1 + usize::from(options.antenna_right.is_some()) {
             return Took::Nothing;
         }
-        match self.advance(fix.stamp, options, samples) {
-            Ok(true) => Took::Updated,
-            Ok(false) => Took::Nothing,
-            Err(reason) => Took::Refused(reason),
-        }
+        if self.advance(fix.stamp, options, samples) { Took::Updated } else { Took::Nothing }
     }
 
     fn newest(&self) -> (Stamp, NavState, StateMatrix) {

@@ -7,7 +7,7 @@ use std::time::Instant;
 use super::progress::{Progress, Unit};
 use super::runs::{self, Run};
 use super::{BadArguments, Outcome};
-use crate::reference::{self, Gain, Outputs, PartSummary, Summary};
+use crate::reference::{self, Gain, Memory, Outputs, PartSummary, Summary};
 
 /// Solve a whole session at once: the best that its sensors can say of where the machine was
 ///
@@ -23,8 +23,8 @@ use crate::reference::{self, Gain, Outputs, PartSummary, Summary};
 /// times in smooth.json apart.
 ///
 /// Memory: all readings are held, some 60 kB for each second of a machine; the batch needs 19 kB a node, of which
-/// there are some 25 a second with two antennas at 10 Hz and lidar at 5 Hz: 1.7 GB an hour. More than --memory-mb allows is
-/// refused before the batch begins; --from-s and --to-s take a part of a session.
+/// there are some 25 a second with two antennas at 10 Hz and lidar at 5 Hz: 1.7 GB an hour. What would take more than
+/// --memory-mb is given up as soon as that shows; --from-s and --to-s take a part of a session.
 ///
 /// Exit codes: 0 done, 1 failed, 2 bad arguments or machine file, 3 done, but some data was bad, lost or not solved.
 #[derive(Debug, clap::Args)]
@@ -86,7 +86,8 @@ fn one(mut run: Run, arguments: &Arguments, out: &Path) -> Result<Outcome, Box<d
     let span_s = run.span_s();
     let mut taken = 0_usize;
     let begin = run.arrivals.first().map(|arrival| arrival.arrival);
-    let forward = reference::forward(&run.arrivals, &run.unseen, run.options.clone(), |step, _| {
+    let memory = Memory { allowed_mb: arguments.memory_mb, goes_on_without: false };
+    let forward = reference::forward(&run.arrivals, &run.unseen, run.options.clone(), memory, |step, _| {
         if let (reference::Step::Taken(arrival, _), Some(begin)) = (step, begin) {
             taken += 1;
             if taken.is_multiple_of(4_096) {
@@ -98,8 +99,8 @@ fn one(mut run: Run, arguments: &Arguments, out: &Path) -> Result<Outcome, Box<d
     let forward_s = begun.elapsed().as_secs_f64();
     let begun = Instant::now();
     let mut bar = Progress::new(&format!("{}: smoothing", run.name), Unit::Count("%"));
-    let smoothed = reference::smooth(&forward, arguments.memory_mb, |part| bar.show(100.0 * part, 100.0))
-        .map_err(|error| about(&error))?;
+    let smoothed =
+        reference::smooth(&forward, |part| bar.show(100.0 * part, 100.0)).map_err(|error| about(&error))?;
     bar.finish();
     let batch_s = begun.elapsed().as_secs_f64();
     let outputs = Outputs::create(out).map_err(|error| format!("{}: {error}", out.display()))?;

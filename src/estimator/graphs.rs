@@ -102,11 +102,27 @@ impl Graphs {
         self.on_trial = false;
     }
 
+    /// Neither window keeps what leaves it from now on, nor what has left it.
+    pub fn forget_history(&mut self) {
+        self.main.forget_history();
+        if let Some(fallback) = &mut self.fallback {
+            fallback.forget_history();
+        }
+    }
+
     /// Both windows reach back to this stamp, as long as fixes are lost. See [`Smoother::hold`].
     pub fn hold(&mut self, from: Stamp) {
         if let Some(fallback) = &mut self.fallback {
             fallback.hold(Some(from));
             self.main.hold(Some(from));
+        }
+    }
+
+    /// No window reaches back further than its lag.
+    pub fn release(&mut self) {
+        self.main.hold(None);
+        if let Some(fallback) = &mut self.fallback {
+            fallback.hold(None);
         }
     }
 

@@ -41,6 +41,8 @@ const RETURN_LIMIT: f64 = 30.0;
 const GAP_MAX: Span = Span::from_millis(1_100);
 /// A pose factor that shares its error with the estimate is given so many times its variance.
 const SHARED: f64 = 2.0;
+/// A node this near to a measurement has it, s: the window sets none nearer to another.
+const NODE_NEAR_S: f64 = 1.0e-3;
 /// Roll and pitch of a pseudo-global pose are weighted down to this, rad: gravity knows them better.
 const TILT_SIGMA: f64 = 0.05;
 
@@ -51,6 +53,8 @@ struct Anchor {
     world_from_lidar: Pose<World, Lidar>,
     /// Of the lidar's heading and position there.
     covariance: PlaceMatrix,
+    /// The pose's node, and where the lidar was at its stamp, seen from there.
+    node: Option<(Stamp, Pose<Lidar, Lidar>)>,
 }
 
 /// Follows the lidar's poses.
@@ -148,7 +152,8 @@ impl LidarTrack {
             whiten: Mat6::identity(),
         };
         let covariance = place::covariance(&there, &state, smoother.newest_covariance());
-        self.anchor = Some(Anchor { pose, world_from_lidar, covariance });
+        let node = node_of(smoother, options, pose.stamp);
+        self.anchor = Some(Anchor { pose, world_from_lidar, covariance, node });
     }
 
     /// While fixes are lost, both windows reach back to the newest pose: its node is what the next one is relative to.
@@ -226,8 +231,50 @@ impl LidarTrack {
         let brought_down = place::bring_down(&predicted, &reached).ok_or(SmootherError::NotDetermined)?;
         factor.whiten = PoseFactor::whiten(&Vec6::repeat(TILT_SIGMA));
         factor.whiten.fixed_view_mut::<4, 4>(2, 2).copy_from(&brought_down);
-        add_pose(smoother, options, factor, pose)
+        let taken = add_pose(smoother, options, factor, pose)?;
+        note_for_the_whole(smoother, options, anchor, pose, increments);
+        if let Some(main) = graphs.passive_mut() {
+            note_for_the_whole(main, options, anchor, pose, increments);
+        }
+        Ok(taken)
     }
+}
+
+/// The node that has what was measured at `stamp`, and where the lidar was then, seen from where it is at the node.
+fn node_of(smoother: &mut Smoother, options: &Options, stamp: Stamp) -> Option<(Stamp, Pose<Lidar, Lidar>)> {
+    let near = [smoother.node_before(stamp), smoother.node_after(stamp)].into_iter().flatten();
+    let apart = |node: Stamp| (node - stamp).as_seconds().abs();
+    let node =
+        near.min_by(|a, b| apart(*a).total_cmp(&apart(*b))).filter(|node| apart(*node) <= NODE_NEAR_S)?;
+    if node == stamp {
+        return Some((node, Pose::identity()));
+    }
+    let [at_node, at_stamp] = [smoother.state_at(node)?, smoother.state_at(stamp)?]
+        .map(|state| state.world_from_imu() * options.imu_from_lidar);
+    Some((node, at_node.inverse() * at_stamp))
+}
+
+/// A window that no longer reaches back to the anchor takes a pose factor; the session as a whole reaches back to all
+/// nodes, and there (1) is a relative factor, which is exact for a walk.
+fn note_for_the_whole(
+    smoother: &mut Smoother,
+    options: &Options,
+    anchor: &Anchor,
+    pose: &LidarPose,
+    increments: f64,
+) {
+    let Some((earlier, earlier_from_anchor)) = anchor.node else { return };
+    // Main gets its node for the pose now; the next pose is tied to it.
+    let Ok(_) = smoother.node_at(pose.stamp) else { return };
+    let Some((later, later_from_pose)) = node_of(smoother, options, pose.stamp) else { return };
+    let seen = anchor.pose.lidarmap_from_lidar.inverse() * pose.lidarmap_from_lidar;
+    let measured = earlier_from_anchor * seen * later_from_pose.inverse();
+    let factor = BetweenFactor {
+        measured: *measured.motion(),
+        imu_from_sensor: *options.imu_from_lidar.motion(),
+        sigma: walked(options, increments, seen.translation().norm()),
+    };
+    smoother.note_relative(earlier, later, factor);
 }
 
 fn pseudo_global(anchor: &Anchor, pose: &LidarPose) -> Pose<World, Lidar> {
@@ -277,6 +324,13 @@ fn misfit_limit(smoother: &Smoother, options: &Options, span_s: f64, refusals: u
     [limit(0, row::GYRO_BIAS), limit(1, row::VELOCITY)]
 }
 
+/// Sigmas of the relative pose over so many increments and so long a way, m: what the odometry's heading walks on the
+/// way swings the rest of it, a third of its variance over all ([`place::carried`]). One increment has what it has.
+fn walked(options: &Options, increments: f64, way_m: f64) -> [f64; 2] {
+    let [turn, shift] = options.lidar_sigma.map(|sigma| sigma * increments.sqrt());
+    if increments > 1.0 { [turn, libm::hypot(shift, turn * way_m / libm::sqrt(3.0))] } else { [turn, shift] }
+}
+
 /// Ties the nodes of two poses that lie so many increments apart, if they fit the prediction: rad, m.
 fn tie(
     smoother: &mut Smoother,
@@ -319,7 +373,7 @@ fn tie(
     let factor = BetweenFactor {
         measured: *measured.motion(),
         imu_from_sensor: *options.imu_from_lidar.motion(),
-        sigma: options.lidar_sigma.map(|sigma| sigma * increments.sqrt()),
+        sigma: walked(options, increments, seen.translation().norm()),
     };
     smoother.add_between(earlier, later, factor)?;
     Ok(Taken::Used)

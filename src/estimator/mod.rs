@@ -42,6 +42,8 @@ use crate::time::{Span, Stamp};
 
 /// A gap in the IMU's samples up to this length is bridged; after a longer one the estimate starts anew.
 const IMU_GAP_MAX: Span = Span::from_millis(500);
+/// A measurement this far ahead of the IMU has a wrong clock.
+pub(crate) const AHEAD_MAX: Span = Span::from_millis(1_000);
 
 /// What an update found: the newest node of the window.
 #[derive(Clone, Debug, PartialEq)]
@@ -101,6 +103,16 @@ impl Estimator {
     /// Keeps every node with its factors, for [`Estimator::take_history`]; see [`Updater::keep_history`].
     pub fn keep_history(&mut self) {
         self.updater.keep_history();
+    }
+
+    /// How much is kept; see [`Updater::history_nodes`].
+    pub fn history_nodes(&self) -> [usize; 2] {
+        self.updater.history_nodes()
+    }
+
+    /// Keeps it no longer; see [`Updater::forget_history`].
+    pub fn forget_history(&mut self) {
+        self.updater.forget_history();
     }
 
     /// The graph as it was built; see [`Updater::take_history`].

@@ -16,7 +16,7 @@ use super::options::Options;
 use super::resumption::{Chassis, Known, LidarTrail};
 use super::standstill::{Standstill, Stillness};
 use super::ties;
-use super::{IMU_GAP_MAX, Past, Solution};
+use super::{AHEAD_MAX, IMU_GAP_MAX, Past, Solution};
 use crate::factors::PositionFactor;
 use crate::lie::Vec3;
 use crate::sensors::{Arrival, GnssFix, ImuSample, LidarPose, Reading, Sensor};
@@ -26,8 +26,6 @@ use crate::time::{Span, Stamp};
 
 /// Huber's threshold of fixes that pass the gate, in sigmas.
 const HUBER_THRESHOLD: f64 = 5.0;
-/// A measurement this far ahead of the IMU has a wrong clock.
-const AHEAD_MAX: Span = Span::from_millis(1_000);
 /// Without measurements, a node is set so often, so that links stay short.
 const NODE_EVERY: Span = Span::from_millis(500);
 /// Without lidar for so long, the IMU is alone.
@@ -61,6 +59,8 @@ pub struct Updater {
 struct History {
     /// Of those that were given up.
     closed: Vec<Past>,
+    /// Their nodes, and those of the longest chain among them.
+    closed_nodes: [usize; 2],
     /// Since then.
     samples: Vec<ImuSample>,
 }
@@ -109,6 +109,24 @@ impl Updater {
         self.history.get_or_insert_default();
     }
 
+    /// Nodes that are kept so far, and those of the longest chain among them.
+    pub fn history_nodes(&self) -> [usize; 2] {
+        let Some(history) = &self.history else { return [0; 2] };
+        let [nodes, longest] = match &self.phase {
+            Phase::Running(running) => running.graphs.active().history_nodes(),
+            Phase::Waiting(_) => [0; 2],
+        };
+        [history.closed_nodes[0] + nodes, history.closed_nodes[1].max(longest)]
+    }
+
+    /// Gives up what was kept, and its memory; nothing is kept from then on, and estimates stay as they are.
+    pub fn forget_history(&mut self) {
+        self.history = None;
+        if let Phase::Running(running) = &mut self.phase {
+            running.graphs.forget_history();
+        }
+    }
+
     /// All that was kept, oldest first; nothing is kept from then on.
     pub fn take_history(&mut self) -> Vec<Past> {
         self.close_history();
@@ -117,7 +135,9 @@ impl Updater {
 
     /// The estimate is given up: what it rested on is one past.
     fn close_history(&mut self) {
+        let closed_nodes = self.history_nodes();
         let Some(history) = &mut self.history else { return };
+        history.closed_nodes = closed_nodes;
         let samples = std::mem::take(&mut history.samples);
         if let Phase::Running(running) = &mut self.phase {
             let nodes = running.graphs.active_mut().take_history();
@@ -342,11 +362,14 @@ impl Updater {
         let Some(main) = running.graphs.passive_mut() else { return };
         let tried = position_factor(main, fix.stamp, measured, lever_arm, sigma)
             .and_then(|(node, factor)| running.graphs.try_position(node, factor));
-        if tried.is_err() {
-            running.graphs.end_trial();
-        }
-        let to = running.graphs.state();
-        self.monitor.note_graph(fix.stamp, to, "good fixes have come back");
+        let why = match tried {
+            Ok(()) => "good fixes have come back".to_owned(),
+            Err(error) => {
+                running.graphs.end_trial();
+                format!("main could not take a fix on trial: it {error}")
+            }
+        };
+        self.monitor.note_graph(fix.stamp, running.graphs.state(), &why);
     }
 
     /// Moves the graphs, and tells if that changed who answers.
@@ -503,6 +526,9 @@ impl Updater {
             self.begin_anew(&format!("the start failed: it {error}"), None);
             return None;
         }
+        // A start in motion lies seconds back and is far from linear: nothing of it is laid down before all that is
+        // known of it has been heard.
+        smoother.hold(Some(start.stamp));
         let (mut gate, mut graphs) = (Gate::new(self.options.gate), Graphs::new(smoother));
         if start.fixes_agree {
             gate.begin_trusted(start.stamp);
@@ -528,6 +554,10 @@ impl Updater {
                 let restart = first.restart || newest.restart;
                 solution = Some(Box::new(Solution { restart, ..*newest }));
             }
+        }
+        if let Phase::Running(running) = &mut self.phase {
+            running.graphs.release();
+            running.lidar.hold(&mut running.graphs, &self.options);
         }
         solution
     }
@@ -690,4 +720,47 @@ fn candidate(
         expected: antenna(&state, lever_arm),
         expected_covariance: predicted_position_covariance(&state, &covariance, lever_arm),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+    use crate::simulate::{Scenario, Simulation};
+    use crate::state::EventKind;
+
+    #[test]
+    fn failed_trial_is_told_with_its_own_reason() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/scenarios/construction.toml");
+        let scenario = Scenario::load(&root).expect("a valid scenario");
+        let end = scenario.file.gnss_condition.iter().map(|condition| condition.end_s).fold(0.0, f64::max);
+        let simulation = Simulation::new(&scenario, 0).ending_at(Stamp::from_seconds(end + 10.0));
+        let options = simulation.machine().estimator_options();
+        let mut updater = Updater::new(options.clone());
+        let mut first = None;
+        for arrival in simulation {
+            updater.push(&arrival);
+            if let Reading::GnssLeft(fix) = arrival.reading {
+                first.get_or_insert(fix);
+            }
+            let Phase::Running(running) = &updater.phase else { continue };
+            if running.graphs.state() != Graph::Trial {
+                continue;
+            }
+            updater.take_events();
+            // The window no longer reaches back to it.
+            updater.try_fix(&first.expect("a fix"), &options.antenna_left);
+            let events = updater.take_events();
+            let [EventKind::GraphChanged { from: Graph::Trial, to: Graph::Fallback, reason }] =
+                &events.iter().map(|event| event.what.clone()).collect::<Vec<_>>()[..]
+            else {
+                panic!("{events:?}")
+            };
+            assert!(reason.starts_with("main could not take a fix on trial: it is "), "{reason}");
+            assert!(reason.ends_with("older than the window"), "{reason}");
+            return;
+        }
+        panic!("no trial");
+    }
 }

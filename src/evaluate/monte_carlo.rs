@@ -9,6 +9,7 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 
 use super::Statistics;
+use super::paper::margin;
 use super::report::{Axis, Page, Plot, Scale, Series, Style, Table, figure};
 use super::tasks::{self, Task};
 use super::trial::{self, Setup};
@@ -206,36 +207,68 @@ impl Tails {
     }
 }
 
+const OFF_IN_OUTAGE: &str = "outage: position RMSE, cm";
+const HEADING_IN_OUTAGE: &str = "outage: heading RMSE, °";
+const NEES_IN_OUTAGE: &str = "outage: position NEES";
+const MOVES: &str = "update moves the prediction, mean, cm";
 /// What is told of every method: name, value.
 type Measure = (&'static str, fn(&Outcome) -> f64);
 const MEASURES: [Measure; 10] = [
     ("GNSS good: position RMSE, cm", |outcome| outcome.good_rmse_cm),
     ("GNSS good: heading RMSE, °", |outcome| outcome.good_heading_deg),
-    ("outage: position RMSE, cm", |outcome| outcome.outage_rmse_cm),
+    (OFF_IN_OUTAGE, |outcome| outcome.outage_rmse_cm),
     ("outage: largest error, cm", |outcome| outcome.outage_largest_cm),
-    ("outage: heading RMSE, °", |outcome| outcome.outage_heading_deg),
+    (HEADING_IN_OUTAGE, |outcome| outcome.outage_heading_deg),
     ("jump of the world pose after it, cm", |outcome| outcome.jump_cm),
     ("odom: largest step, mm", |outcome| outcome.odom_step_mm),
-    ("update moves the prediction, mean, cm", |outcome| outcome.consistency_cm),
+    (MOVES, |outcome| outcome.consistency_cm),
     ("GNSS good: position NEES", |outcome| outcome.good_nees),
-    ("outage: position NEES", |outcome| outcome.outage_nees),
+    (NEES_IN_OUTAGE, |outcome| outcome.outage_nees),
 ];
 
 type ByName<T> = BTreeMap<&'static str, T>;
 type Measures = ByName<Option<Tails>>;
 type Lengths = Vec<(f64, Option<Tails>)>;
 
-/// Why a baseline may be ahead in a measure.
-fn why_not(name: &str) -> &'static str {
-    if name.starts_with("GNSS good") {
-        "the difference is within the noise of a fix"
-    } else if name.starts_with("outage") {
-        "an outage's error is one draw of a walk, and these are few"
-    } else if name.starts_with("jump") {
-        "ours takes the whole correction in one step once it trusts the fixes again, a filter takes it fix by fix"
-    } else {
-        "what nothing corrects never steps, and drifts away"
+/// The median of a method in a measure, if it has one.
+fn median(methods: &ByName<Measures>, kind: Kind, name: &str) -> Option<f64> {
+    methods[kind.name()][name].map(|tails| tails.median)
+}
+
+/// Where ours is not ahead by the median: of whom, by how much, and why, as far as the figures show it.
+fn behind(methods: &ByName<Measures>, name: &str) -> Option<String> {
+    let ours = median(methods, Kind::Dual, name)?;
+    let others = Kind::ALL.into_iter().skip(1).filter_map(|kind| Some((kind, median(methods, kind, name)?)));
+    let ahead: Vec<(Kind, f64)> = others.filter(|(_, other)| *other <= ours && *other > 0.0).collect();
+    if ahead.is_empty() {
+        return None;
     }
+    let never = |(kind, _): &(Kind, f64)| median(methods, *kind, MOVES).is_none();
+    let off = |kind: Kind| median(methods, kind, OFF_IN_OUTAGE).map_or("–".to_owned(), figure);
+    let why = if ahead.iter().all(never) {
+        let told: Vec<String> = ahead.iter().map(|(kind, _)| off(*kind)).collect();
+        format!(
+            "; nothing corrects it, in the outage it is off by {} cm, ours by {}",
+            told.join(" and "),
+            off(Kind::Dual)
+        )
+    } else {
+        let of = |name: &str| {
+            let kinds = std::iter::once(Kind::Dual).chain(ahead.iter().map(|(kind, _)| *kind));
+            let told = kinds.map(|kind| {
+                let value = median(methods, kind, name).map_or("–".to_owned(), figure);
+                format!("{} {value}", kind.title())
+            });
+            told.collect::<Vec<String>>().join(", ")
+        };
+        format!(
+            "; medians of {HEADING_IN_OUTAGE}: {}, and of {NEES_IN_OUTAGE}: {}",
+            of(HEADING_IN_OUTAGE),
+            of(NEES_IN_OUTAGE)
+        )
+    };
+    let told: Vec<String> = ahead.iter().map(|(kind, other)| margin(kind.title(), *other, ours)).collect();
+    Some(format!("{name}: {}{why}", told.join(", ")))
 }
 
 /// All results.
@@ -311,20 +344,12 @@ impl Results {
         let behind: Vec<String> = MEASURES
             .iter()
             .filter(|(name, _)| !name.contains("NEES"))
-            .filter_map(|(name, _)| {
-                let median = |kind: Kind| methods[kind.name()][name].map(|tails| tails.median);
-                let ours = median(Kind::Dual)?;
-                let others = Kind::ALL.into_iter().skip(1);
-                let ahead =
-                    others.filter(|kind| median(*kind).is_some_and(|other| other <= ours && other > 0.0));
-                let ahead: Vec<&str> = ahead.map(Kind::title).collect();
-                (!ahead.is_empty()).then(|| format!("{name} ({}: {})", ahead.join(", "), why_not(name)))
-            })
+            .filter_map(|(name, _)| behind(methods, name))
             .collect();
         table.note(&if behind.is_empty() {
             "By the median, holdfast is ahead of every baseline in every row of errors.".to_owned()
         } else {
-            format!("By the median, holdfast is not ahead in: {}.", behind.join("; "))
+            format!("By the median, holdfast is not ahead in: {}.", behind.join(". "))
         });
         table
     }
@@ -393,6 +418,33 @@ mod tests {
         let (length_s, tails) = results.outages["navigation"]["twice the error"][2];
         assert_eq!((length_s, tails.expect("some").median), (60.0, 120.0));
         assert!(results.page().html().contains("four times"));
+    }
+
+    #[test]
+    fn margins_are_told_and_reasons_only_where_figures_show_them() {
+        let figures = |value: f64| Tails { runs: 1, median: value, p95: value, max: value };
+        let methods: ByName<Measures> = Kind::ALL
+            .into_iter()
+            .map(|kind| {
+                let known = |name: &str| match (kind, name) {
+                    (Kind::DeadReckoning, MOVES) => None,
+                    (Kind::DeadReckoning, OFF_IN_OUTAGE) => Some(figures(900.0)),
+                    (Kind::DeadReckoning, "odom: largest step, mm") => Some(figures(0.1)),
+                    (Kind::Tsif, "GNSS good: position RMSE, cm") => Some(figures(0.95)),
+                    (Kind::Dual, _) => Some(figures(1.0)),
+                    _ => Some(figures(2.0)),
+                };
+                (kind.name(), MEASURES.iter().map(|(name, _)| (*name, known(name))).collect())
+            })
+            .collect();
+        assert_eq!(behind(&methods, OFF_IN_OUTAGE), None);
+        let good = "GNSS good: position RMSE, cm";
+        let told = behind(&methods, good).expect("behind");
+        assert!(told.starts_with(&format!("{good}: TSIF (0.95 of ours); medians of ")), "{told}");
+        assert!(told.ends_with("outage: position NEES: holdfast 1.00, TSIF 2.00"), "{told}");
+        let step = behind(&methods, "odom: largest step, mm").expect("behind");
+        assert!(step.contains("dead reckoning (0.10 of ours); nothing corrects it"), "{step}");
+        assert!(step.ends_with("it is off by 900.0 cm, ours by 1.00"), "{step}");
     }
 
     #[test]

@@ -23,6 +23,17 @@ pub struct Gain {
     pub parts: Vec<Part>,
     /// Over time, thinned: the largest of each stretch.
     pub points: Vec<Point>,
+    /// Of every compared sample, its horizontal difference, m.
+    #[serde(skip)]
+    pub horizontal_m: Vec<(Stamp, f64)>,
+}
+
+impl Gain {
+    /// The largest horizontal difference of the samples between two stamps, both included, m; nothing of none.
+    pub fn largest_between(&self, from: Stamp, to: Stamp) -> Option<f64> {
+        let inside = self.horizontal_m.iter().filter(|(stamp, _)| (from..=to).contains(stamp));
+        inside.map(|(_, off_m)| *off_m).max_by(f64::total_cmp)
+    }
 }
 
 /// The samples of one kind.
@@ -104,7 +115,7 @@ pub(super) fn of(smoothed: &Smoothed, live: &[LiveSample]) -> Gain {
     by_stamp.sort_by_key(|sample| sample.stamp);
     let modes = [Mode::Main, Mode::Fallback, Mode::ImuOnly];
     let (mut all, mut parts) = (Sums::default(), modes.map(|_| Sums::default()));
-    let mut points = Vec::new();
+    let (mut points, mut horizontal_m) = (Vec::new(), Vec::new());
     let stretch = live.len().div_ceil(POINTS_MAX).max(1);
     let mut compared = 0;
     smoothed.at_samples(|stamp, state, node| {
@@ -112,6 +123,7 @@ pub(super) fn of(smoothed: &Smoothed, live: &[LiveSample]) -> Gain {
         let live = by_stamp[found];
         let (point, heading_variances) = difference(live, stamp, state, node);
         all.note(&point, heading_variances);
+        horizontal_m.push((stamp, point.horizontal_m));
         if let Some(place) = modes.iter().position(|mode| *mode == live.mode) {
             parts[place].note(&point, heading_variances);
         }
@@ -128,6 +140,7 @@ pub(super) fn of(smoothed: &Smoothed, live: &[LiveSample]) -> Gain {
         without_smoothed: (live.len() - compared.min(live.len())) as u64,
         parts: all.part("all").into_iter().chain(parts).collect(),
         points,
+        horizontal_m,
     }
 }
 

@@ -51,15 +51,15 @@ pub enum ReferenceError {
     },
     /// More than was allowed.
     #[error(
-        "{nodes} nodes over {span_s:.0} s need some {needed_mb} MB at once, {allowed_mb} are allowed: allow more, or take a part of it"
+        "needs more memory than allowed: {allowed_mb} MB are spent after {at_s:.0} s of {span_s:.0} s. Allow more (some {whole_mb} MB by that measure), or take a part of it"
     )]
     TooMuchMemory {
-        /// Of the longest chain.
-        nodes: usize,
-        /// Of the longest chain, s.
+        /// After the first reading, s.
+        at_s: f64,
+        /// Of all readings, s.
         span_s: f64,
-        /// Needed.
-        needed_mb: usize,
+        /// What all of them need, should they go on like this.
+        whole_mb: usize,
         /// Allowed.
         allowed_mb: usize,
     },
@@ -106,6 +106,17 @@ pub struct Forward {
     fixes: u64,
     readings: u64,
     waits_for: String,
+    /// Why the graph was given up on the way.
+    spent: Option<ReferenceError>,
+}
+
+/// What a graph may take, and what to do when it would take more.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Memory {
+    /// Of the graph, and of its solution.
+    pub allowed_mb: usize,
+    /// The run goes on without a graph, for those who watch it; else it ends there.
+    pub goes_on_without: bool,
 }
 
 /// What happens along [`forward`].
@@ -123,10 +134,14 @@ pub enum Step<'a> {
 
 /// Runs the estimator over readings, keeping its graph; of those with their number in `unseen` its updater does not
 /// know. `watch` hears of every step, and may look at the estimator.
+///
+/// What the graph takes is looked at all along: one that could not be solved within `memory` is given up at once, and
+/// [`smooth`] then tells.
 pub fn forward(
     arrivals: &[Arrival],
     unseen: &BTreeSet<u64>,
     options: Options,
+    memory: Memory,
     mut watch: impl FnMut(Step<'_>, &Estimator),
 ) -> Forward {
     let gravity = options.smoother.gravity;
@@ -134,10 +149,15 @@ pub fn forward(
     estimator.keep_history();
     let mut live = Vec::new();
     let mut fixes = 0;
+    let mut spent = None;
+    let ends = arrivals.first().zip(arrivals.last());
+    let span_s = ends.map_or(0.0, |(first, last)| last.arrival.seconds_since(first.arrival));
     for (number, arrival) in (0_u64..).zip(arrivals) {
         fixes += u64::from(matches!(arrival.reading, Reading::GnssLeft(_)));
         let estimate = estimator.predict(arrival);
-        live.extend(estimate.as_ref().map(LiveSample::of));
+        if spent.is_none() {
+            live.extend(estimate.as_ref().map(LiveSample::of));
+        }
         watch(Step::Taken(arrival, estimate.as_ref()), &estimator);
         if unseen.contains(&number) {
             continue;
@@ -148,22 +168,39 @@ pub fn forward(
         for event in estimator.take_events() {
             watch(Step::Told(&event), &estimator);
         }
+        if spent.is_none() && needed_mb(estimator.history_nodes()) > memory.allowed_mb {
+            let at_s = arrival.arrival.seconds_since(arrivals[0].arrival);
+            // A graph grows with time.
+            let whole_mb = (memory.allowed_mb as f64 * span_s / at_s.max(1e-3)).ceil() as usize;
+            let allowed_mb = memory.allowed_mb;
+            spent = Some(ReferenceError::TooMuchMemory { at_s, span_s, whole_mb, allowed_mb });
+            estimator.forget_history();
+            live = Vec::new();
+            if !memory.goes_on_without {
+                break;
+            }
+        }
     }
     estimator.finish();
     for event in estimator.take_events() {
         watch(Step::Told(&event), &estimator);
     }
     watch(Step::Ended, &estimator);
-    let ends = arrivals.first().zip(arrivals.last());
     Forward {
         live,
         pasts: estimator.take_history(),
         gravity,
-        span_s: ends.map_or(0.0, |(first, last)| last.arrival.seconds_since(first.arrival)),
+        span_s,
         fixes,
         readings: arrivals.len() as u64,
         waits_for: estimator.health().waits_for.unwrap_or_else(|| "more readings".to_owned()),
+        spent,
     }
+}
+
+/// What a graph of so many nodes in all and in its longest chain takes when it is solved.
+fn needed_mb([nodes, longest]: [usize; 2]) -> usize {
+    (nodes * PAST_NODE_BYTES + longest * NODE_BYTES).div_ceil(1_000_000)
 }
 
 impl LiveSample {
@@ -206,17 +243,12 @@ pub struct Smoothed {
     gravity: Vec3,
 }
 
-/// Solves what a run has built, chain by chain, with no more than `allowed_mb` at once; `tell` hears of each step
-/// which part of the whole is done, by and by.
+/// Solves what a run has built, chain by chain; `tell` hears of each step which part of the whole is done, by and by.
 ///
 /// # Errors
 /// [`ReferenceError`].
-pub fn smooth(
-    forward: &Forward,
-    allowed_mb: usize,
-    mut tell: impl FnMut(f64),
-) -> Result<Smoothed, ReferenceError> {
-    forward.check(allowed_mb)?;
+pub fn smooth(forward: &Forward, mut tell: impl FnMut(f64)) -> Result<Smoothed, ReferenceError> {
+    forward.check()?;
     let options = batch::Options::new(forward.gravity);
     let all: usize = forward.pasts.iter().map(|past| past.nodes.len()).sum();
     let mut smoothed = Smoothed { chains: Vec::new(), unsolved: Vec::new(), gravity: forward.gravity };
@@ -271,7 +303,10 @@ fn samples_of(samples: &[ImuSample], [start, end]: [Stamp; 2], to_end: bool) -> 
 }
 
 impl Forward {
-    fn check(&self, allowed_mb: usize) -> Result<(), ReferenceError> {
+    fn check(&self) -> Result<(), ReferenceError> {
+        if let Some(spent) = &self.spent {
+            return Err(spent.clone());
+        }
         let nodes: usize = self.pasts.iter().map(|past| past.nodes.len()).sum();
         if self.readings == 0 {
             return Err(ReferenceError::Empty);
@@ -291,12 +326,6 @@ impl Forward {
         };
         if nodes < NODES_MIN {
             return Err(ReferenceError::TooShort { span_s: chains().map(span_s).sum(), nodes });
-        }
-        let longest = chains().max_by_key(|chain| chain.len()).unwrap_or(&[]);
-        let needed_mb = (nodes * PAST_NODE_BYTES + longest.len() * NODE_BYTES).div_ceil(1_000_000);
-        if needed_mb > allowed_mb {
-            let (nodes, span_s) = (longest.len(), span_s(longest));
-            return Err(ReferenceError::TooMuchMemory { nodes, span_s, needed_mb, allowed_mb });
         }
         Ok(())
     }

@@ -31,8 +31,16 @@ pub struct Outputs {
 
 impl Outputs {
     /// The names of all files that a run may leave.
-    pub const FILES: [&str; 7] =
-        ["world.tum", "odom.tum", "base_odom.tum", "estimate.csv", "events.jsonl", TAKEOVERS, "summary.json"];
+    pub const FILES: [&str; 8] = [
+        "world.tum",
+        "odom.tum",
+        "base_odom.tum",
+        "estimate.csv",
+        "corrections.csv",
+        "events.jsonl",
+        TAKEOVERS,
+        "summary.json",
+    ];
 
     /// Makes the folder and its files; files of an earlier run are overwritten.
     ///

@@ -1,9 +1,9 @@
 //! What is noted along a run.
 
-use super::{Innovations, Latency, OutageReview, Review, Second, SensorReview, Share, Told, words};
+use super::{Innovations, Latency, OutageReview, Review, Second, SensorReview, Share, Told, Unsure, words};
 use crate::estimator::Estimator;
 use crate::evaluate::Statistics;
-use crate::reference::{Gain, SolvedChain, Step};
+use crate::reference::{Gain, Smoothed, SolvedChain, Step};
 use crate::replay::Times;
 use crate::sensors::{Arrival, Sensor};
 use crate::state::{Estimate, Event, EventKind, Health, Mode, OutageReport};
@@ -14,6 +14,10 @@ const LOOK_EVERY: Span = Span::from_millis(1_000);
 /// A silence is longer than so many periods, and than this.
 const SILENT_PERIODS: f64 = 5.0;
 const SILENT_S: f64 = 0.2;
+/// The usual period is first the median of so many gaps.
+const FIRST_GAPS: usize = 5;
+/// No sensor speaks less often, s: two readings further apart than that tell nothing of a period.
+const PERIOD_MAX_S: f64 = 2.0;
 /// Estimates further apart than this are not one stretch of knowing, s.
 const STRETCH_S: f64 = 0.5;
 
@@ -40,12 +44,47 @@ pub struct Collector {
 struct Track {
     readings: u64,
     last: Option<Stamp>,
+    /// The first gaps between readings, s: what is usual is not known yet.
+    first_gaps_s: Vec<f64>,
     /// Between readings that are no silence apart: sum, s, and how many.
     periods: (f64, u64),
     silences: (f64, u64, f64),
     delay: Times,
     /// Whether any arrived later than its stamp.
     delayed: bool,
+}
+
+impl Track {
+    fn note_gap(&mut self, gap_s: f64) {
+        let (sum, count) = self.periods;
+        if count > 0 {
+            self.judge_gap(gap_s, sum / count as f64);
+        } else if gap_s > 0.0 {
+            self.first_gaps_s.push(gap_s);
+            if self.first_gaps_s.len() >= FIRST_GAPS {
+                self.judge_first_gaps();
+            }
+        }
+    }
+
+    /// By their median, so that a silence among them does not pass for the usual.
+    fn judge_first_gaps(&mut self) {
+        let gaps_s = std::mem::take(&mut self.first_gaps_s);
+        let mut sorted = gaps_s.clone();
+        sorted.sort_by(f64::total_cmp);
+        let Some(median_s) = sorted.get(sorted.len().saturating_sub(1) / 2) else { return };
+        gaps_s.iter().for_each(|gap_s| self.judge_gap(*gap_s, median_s.min(PERIOD_MAX_S)));
+    }
+
+    fn judge_gap(&mut self, gap_s: f64, usual_s: f64) {
+        if gap_s > SILENT_S.max(SILENT_PERIODS * usual_s) {
+            self.silences.0 += gap_s;
+            self.silences.1 += 1;
+            self.silences.2 = self.silences.2.max(gap_s);
+        } else if gap_s > 0.0 {
+            self.periods = (self.periods.0 + gap_s, self.periods.1 + 1);
+        }
+    }
 }
 
 const MODES: [Mode; 3] = [Mode::Main, Mode::Fallback, Mode::ImuOnly];
@@ -84,16 +123,7 @@ impl Collector {
             track.delay.note(nanos);
         }
         let Some(last) = track.last.replace(stamp) else { return };
-        let gap_s = stamp.seconds_since(last);
-        let (sum, count) = track.periods;
-        let usual_s = if count < 5 { f64::INFINITY } else { sum / count as f64 };
-        if gap_s > SILENT_S.max(SILENT_PERIODS * usual_s) {
-            track.silences.0 += gap_s;
-            track.silences.1 += 1;
-            track.silences.2 = track.silences.2.max(gap_s);
-        } else if gap_s > 0.0 {
-            track.periods = (sum + gap_s, count + 1);
-        }
+        track.note_gap(stamp.seconds_since(last));
     }
 
     fn note_estimate(&mut self, estimate: &Estimate) {
@@ -133,16 +163,18 @@ impl Collector {
     pub fn finish(
         mut self,
         machine: &str,
-        smoothed: Result<(Gain, &[SolvedChain]), String>,
+        smoothed: Result<(Gain, &Smoothed), String>,
         latency: Latency,
         lost: Vec<String>,
     ) -> Review {
+        self.sensors.iter_mut().for_each(Track::judge_first_gaps);
         let begin = self.begin.unwrap_or_default();
         let span_s = self.end.seconds_since(begin);
-        let (gain, chains, not_smoothed) = match smoothed {
-            Ok((gain, chains)) => (Some(gain), chains, None),
-            Err(why) => (None, &[][..], Some(why)),
+        let (gain, smoothed, not_smoothed) = match smoothed {
+            Ok((gain, smoothed)) => (Some(gain), Some(smoothed), None),
+            Err(why) => (None, None, Some(why)),
         };
+        let chains = smoothed.map_or(&[][..], |smoothed| &smoothed.chains);
         let weighted_down = |of: fn(&SolvedChain) -> usize| chains.iter().map(of).sum::<usize>() as f64;
         let fixes = weighted_down(|chain| chain.factors.positions);
         let odd = weighted_down(|chain| chain.factors.weighted_down);
@@ -170,6 +202,7 @@ impl Collector {
                 .collect(),
             gain,
             not_smoothed,
+            unsure: smoothed.map_or_else(Vec::new, |smoothed| unsure(smoothed, begin)),
             lost,
             consistency_cm: Statistics::of(std::mem::take(&mut self.moved_cm)),
             seconds: self.seconds,
@@ -226,8 +259,6 @@ impl Collector {
 fn outage_review(outage: &OutageReport, begin: Stamp, end: Stamp, gain: Option<&Gain>) -> OutageReview {
     let from = Stamp::from_nanos(outage.start_stamp_ns);
     let to = outage.end_stamp_ns.map_or(end, Stamp::from_nanos);
-    let inside = |at_s: f64| (from.as_seconds()..=to.as_seconds()).contains(&at_s);
-    let points = gain.iter().flat_map(|gain| &gain.points).filter(|point| inside(point.t_s));
     OutageReview {
         start_s: from.seconds_since(begin),
         end_s: to.seconds_since(begin),
@@ -235,8 +266,21 @@ fn outage_review(outage: &OutageReport, begin: Stamp, end: Stamp, gain: Option<&
         cause: outage.cause,
         travelled_m: outage.travelled_m,
         jump_m: outage.jump_m,
-        live_off_m: points
-            .map(|point| point.horizontal_m)
-            .fold(None, |most, off| Some(off.max(most.unwrap_or(0.0)))),
+        live_off_m: gain.and_then(|gain| gain.largest_between(from, to)),
     }
+}
+
+/// What of a session has no solution, or none that is final.
+fn unsure(smoothed: &Smoothed, begin: Stamp) -> Vec<Unsure> {
+    let unsolved = smoothed.unsolved.iter().map(|part| Unsure {
+        start_s: part.start_s - begin.as_seconds(),
+        end_s: part.end_s - begin.as_seconds(),
+        why_unsolved: Some(part.why.clone()),
+    });
+    let moving = smoothed.chains.iter().filter(|chain| !chain.converged).filter_map(|chain| {
+        let (first, last) = chain.nodes.first().zip(chain.nodes.last())?;
+        let [start_s, end_s] = [first, last].map(|node| node.stamp.seconds_since(begin));
+        Some(Unsure { start_s, end_s, why_unsolved: None })
+    });
+    unsolved.chain(moving).collect()
 }

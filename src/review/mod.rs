@@ -51,6 +51,8 @@ pub struct Review {
     pub gain: Option<Gain>,
     /// Why it cannot.
     pub not_smoothed: Option<String>,
+    /// Where the whole session has no solution, or none that is final.
+    pub unsure: Vec<Unsure>,
     /// What of the recording could not be used.
     pub lost: Vec<String>,
     /// Second by second.
@@ -149,6 +151,17 @@ pub struct Told {
     pub at_s: f64,
     /// In words.
     pub what: String,
+}
+
+/// A stretch that cannot be judged by the whole session, or not finally.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Unsure {
+    /// Since the first reading, s.
+    pub start_s: f64,
+    /// Since the first reading, s.
+    pub end_s: f64,
+    /// Why there is no solution; `null` if there is one that still moved when its steps were used up.
+    pub why_unsolved: Option<String>,
 }
 
 /// One second of a run.

@@ -35,11 +35,14 @@ pub(super) fn in_short(review: &Review) -> Vec<String> {
         None => sentences.push("Satellites were never lost.".to_owned()),
         Some(longest) => {
             let all: f64 = review.outages.iter().map(|outage| outage.end_s - outage.start_s).sum();
-            let off = review.outages.iter().filter_map(|outage| outage.live_off_m).fold(0.0, f64::max);
-            let off = match review.gain {
-                Some(_) => format!(" Meanwhile the position was off by {} at most.", length(off)),
-                None => String::new(),
-            };
+            let judged: Vec<f64> = review.outages.iter().filter_map(|outage| outage.live_off_m).collect();
+            let off = judged.iter().copied().max_by(f64::total_cmp).map_or_else(String::new, |off| {
+                let when = match judged.len() == review.outages.len() {
+                    true => "Meanwhile".to_owned(),
+                    false => format!("In the {} of these that can be judged", judged.len()),
+                };
+                format!(" {when} the position was off by {} at most.", length(off))
+            });
             let lost = match review.outages.len() {
                 1 => format!("once, for {}", span(all)),
                 count => format!(
@@ -86,6 +89,17 @@ fn judged(all: &Part) -> String {
 pub(super) fn look_at(review: &Review) -> Vec<String> {
     let mut sentences: Vec<String> =
         review.lost.iter().map(|lost| format!("Part of the recording is missing: {lost}.")).collect();
+    for part in &review.unsure {
+        let when = format!("From {} to {} after the start", span(part.start_s), span(part.end_s));
+        sentences.push(match &part.why_unsolved {
+            Some(why) => {
+                format!("{when} the session has no solution as a whole and nothing is judged: it {why}.")
+            }
+            None => {
+                format!("{when} the solution of the whole session is not final, nor is what is judged by it.")
+            }
+        });
+    }
     let start_s =
         review.seconds.iter().find(|second| second.position_sigma_m.is_some()).map(|second| second.at_s);
     if let Some(start_s) = start_s.filter(|start_s| *start_s > START_S) {

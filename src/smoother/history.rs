@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 use super::Smoother;
 use super::node::{Edge, Node};
-use crate::factors::{ImuFactor, PoseFactor, PositionFactor};
+use crate::factors::{BetweenFactor, ImuFactor, PoseFactor, PositionFactor};
 use crate::state::{NavState, StateMatrix};
 use crate::time::Stamp;
 
@@ -45,11 +45,25 @@ pub struct WindowStart {
 #[derive(Clone, Debug, Default)]
 pub(super) struct History {
     nodes: Vec<Arc<PastNode>>,
+    /// Of the chain that grows, and of the longest.
+    chain: [usize; 2],
     start: Option<Box<WindowStart>>,
+    /// Of the chain that grows.
+    ties: Vec<Tie>,
+}
+
+/// How two nodes of a chain lie to each other that a window did not hold at once.
+#[derive(Clone, Copy, Debug)]
+struct Tie {
+    earlier: Stamp,
+    later: Stamp,
+    factor: BetweenFactor,
 }
 
 impl History {
     fn append(&mut self, node: &Node, last: bool) {
+        let grown = if self.start.is_some() { 1 } else { self.chain[0] + 1 };
+        self.chain = [grown, self.chain[1].max(grown)];
         self.nodes.push(Arc::new(PastNode {
             stamp: node.stamp,
             estimate: node.estimate(),
@@ -71,6 +85,11 @@ impl History {
         let last = nodes.len().saturating_sub(1);
         nodes.iter().enumerate().for_each(|(index, node)| self.append(node, index == last));
         self.start = None;
+        let ties = std::mem::take(&mut self.ties);
+        if !nodes.is_empty() {
+            let first = self.nodes.len() - self.chain[0];
+            ties.iter().for_each(|tie| tie.put_into(&mut self.nodes[first..]));
+        }
     }
 
     /// The window starts, after [`History::close`].
@@ -79,10 +98,42 @@ impl History {
     }
 }
 
+impl Tie {
+    /// Gives the chain the relative pose. The pose factor by which the window took the same measurement goes.
+    fn put_into(&self, chain: &mut [Arc<PastNode>]) {
+        let place = |stamp: Stamp| chain.binary_search_by_key(&stamp, |node| node.stamp);
+        let (Ok(earlier), Ok(later)) = (place(self.earlier), place(self.later)) else { return };
+        Arc::make_mut(&mut chain[earlier]).edges.push((self.later, Edge::Between(self.factor)));
+        Arc::make_mut(&mut chain[later]).poses.clear();
+    }
+}
+
 impl Smoother {
+    /// Tells those who solve the chain as a whole how a node lies to an older one, which may have left the window long
+    /// ago: to the window this changes nothing. A pose factor of the later node stands for the same measurement, and is
+    /// theirs no more.
+    pub fn note_relative(&mut self, earlier: Stamp, later: Stamp, factor: BetweenFactor) {
+        if let Some(history) = &mut self.history {
+            history.ties.push(Tie { earlier, later, factor });
+        }
+    }
+
     /// Keeps from now on what leaves the window: some 3 kB a node. To be called before the window is started.
     pub fn keep_history(&mut self) {
         self.history.get_or_insert_default();
+    }
+
+    /// Nodes that [`Smoother::take_history`] would give, and those of the longest chain among them.
+    pub fn history_nodes(&self) -> [usize; 2] {
+        let Some(history) = &self.history else { return [0; 2] };
+        let here = self.nodes.len();
+        let grows = if history.start.is_some() { here } else { history.chain[0] + here };
+        [history.nodes.len() + here, history.chain[1].max(grows)]
+    }
+
+    /// Gives up what was kept; nothing is kept from then on.
+    pub fn forget_history(&mut self) {
+        self.history = None;
     }
 
     /// All nodes that ever were in the window, oldest first, if they were kept; nothing is kept from then on. The

@@ -3,7 +3,7 @@
 use holdfast::estimator::Estimator;
 use holdfast::import::StampedPose;
 use holdfast::sensors::{Arrival, Reading, Sensor};
-use holdfast::state::{Estimate, Event, EventKind, Health, Mode, SensorHealth};
+use holdfast::state::{Estimate, Event, EventKind, Health, Mode, SensorHealth, row};
 use holdfast::time::{Span, Stamp};
 
 use crate::fixtures::{simulated, true_pose};
@@ -20,6 +20,10 @@ pub struct Judged {
     pub stamp: Stamp,
     pub estimate: Estimate,
     pub error_m: f64,
+    /// Squared errors over what the covariance says: of the position, a third of it, and of the heading.
+    pub nees: [f64; 2],
+    /// rad.
+    pub heading_error: f64,
 }
 
 pub struct Run {
@@ -55,9 +59,14 @@ pub fn run_changed(machine: usize, change: impl Fn(&Arrival) -> Option<Arrival>)
         assert!(estimate.covariance.iter().all(|value| value.is_finite()), "{}: {estimate:?}", run.name);
         assert!(estimate.odom_from_imu.translation().iter().all(|value| value.is_finite()));
         assert_eq!(estimate.stamp, changed.reading.stamp());
-        let true_position = true_pose(&truth, stamp).expect("truth").pose.translation;
-        let error_m = (estimate.state.position - true_position).norm();
-        run.judged.push(Judged { stamp, estimate, error_m });
+        let pose = true_pose(&truth, stamp).expect("truth").pose;
+        let error = estimate.state.position - pose.translation;
+        let heading_error = (estimate.state.rotation * pose.rotation.inverse()).log().z;
+        let block = estimate.covariance.fixed_view::<3, 3>(row::POSITION, row::POSITION).into_owned();
+        let solved = block.cholesky().expect("positive definite").solve(&error);
+        let heading_variance = estimate.state.heading_variance(&estimate.covariance);
+        let nees = [error.dot(&solved) / 3.0, heading_error.powi(2) / heading_variance];
+        run.judged.push(Judged { stamp, estimate, error_m: error.norm(), nees, heading_error });
     }
     run
 }

@@ -10,7 +10,8 @@ use super::super::Outcome;
 use super::super::progress::{Progress, Unit};
 use super::super::runs::{self, Loss, Run, Runs};
 use super::study;
-use crate::reference::{self, Step};
+use crate::estimator::Estimator;
+use crate::reference::{self, Memory, Step};
 use crate::review::{self, Collector, Latency, Published, Review};
 use crate::sensors::Sensor;
 
@@ -57,7 +58,8 @@ fn one(run: &Run, files: &[PathBuf], lost: Vec<String>, memory_mb: usize) -> Res
     let (begin, span_s) = (run.arrivals.first().map(|arrival| arrival.arrival), run.span_s().max(1e-9));
     let mut collector = Collector::default();
     let mut taken = 0_usize;
-    let forward = reference::forward(&run.arrivals, &run.unseen, run.options.clone(), |step, estimator| {
+    let memory = Memory { allowed_mb: memory_mb, goes_on_without: true };
+    let note = |step: Step<'_>, estimator: &Estimator| {
         if let (Step::Taken(arrival, _), Some(begin)) = (&step, begin)
             && arrival.reading.sensor() == Sensor::Imu
         {
@@ -67,10 +69,10 @@ fn one(run: &Run, files: &[PathBuf], lost: Vec<String>, memory_mb: usize) -> Res
             }
         }
         collector.note(step, estimator);
-    });
-    let smoothed = reference::smooth(&forward, memory_mb, |part| {
-        bar.show(100.0 * (RUNNING + (1.0 - RUNNING) * part), 100.0)
-    });
+    };
+    let forward = reference::forward(&run.arrivals, &run.unseen, run.options.clone(), memory, note);
+    let smoothed =
+        reference::smooth(&forward, |part| bar.show(100.0 * (RUNNING + (1.0 - RUNNING) * part), 100.0));
     bar.finish();
     let latency = if files.is_empty() {
         Latency::default()
@@ -82,7 +84,7 @@ fn one(run: &Run, files: &[PathBuf], lost: Vec<String>, memory_mb: usize) -> Res
         Published::read(paths, &run.id, run.boot, tell)?.latency()
     };
     let judged = match &smoothed {
-        Ok(smoothed) => Ok((smoothed.gain(&forward.live), &smoothed.chains[..])),
+        Ok(smoothed) => Ok((smoothed.gain(&forward.live), smoothed)),
         Err(error) => Err(error.to_string()),
     };
     Ok(collector.finish(&run.name, judged, latency, lost))

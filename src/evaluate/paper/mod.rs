@@ -7,6 +7,7 @@ mod figures;
 mod sheet;
 mod tables;
 
+pub(super) use sheet::margin;
 pub use sheet::{Cell, Row, Sheet};
 
 use serde::Serialize;

@@ -38,8 +38,9 @@ pub struct Row {
 }
 
 impl Row {
-    /// A row; `why_not` is said if ours is not the smallest.
-    pub fn new(name: &str, cells: Vec<Cell>, why_not: &str) -> Self {
+    /// A row. If ours is not the smallest, `why_not` is asked with those that are ahead; it has a reason only where
+    /// figures at hand show it.
+    pub fn new(name: &str, cells: Vec<Cell>, why_not: impl Fn(&[Kind]) -> Option<String>) -> Self {
         let verdict = verdict(&cells, why_not);
         Self { name: name.to_owned(), cells, verdict }
     }
@@ -51,15 +52,28 @@ impl Row {
 }
 
 /// Ours is the first cell.
-fn verdict(cells: &[Cell], why_not: &str) -> String {
+fn verdict(cells: &[Cell], why_not: impl Fn(&[Kind]) -> Option<String>) -> String {
     let Some(ours) = cells.first().and_then(|cell| cell.value) else { return "has none".to_owned() };
     let others = || cells.iter().zip(Kind::ALL).skip(1).filter_map(|(cell, kind)| Some((kind, cell.value?)));
-    let ahead: Vec<&str> =
-        others().filter(|(_, other)| *other <= ours).map(|(kind, _)| kind.title()).collect();
-    match (others().next(), ahead.is_empty()) {
+    let (kinds, names): (Vec<Kind>, Vec<String>) = others()
+        .filter(|(_, other)| *other <= ours)
+        .map(|(kind, other)| (kind, margin(kind.title(), other, ours)))
+        .unzip();
+    match (others().next(), kinds.is_empty()) {
         (None, _) => "alone".to_owned(),
         (_, true) => "ahead".to_owned(),
-        (_, false) => format!("not ahead of {}: {why_not}", ahead.join(", ")),
+        (_, false) => {
+            let why = why_not(&kinds).map_or_else(String::new, |why| format!(": {why}"));
+            format!("not ahead of {}{why}", names.join(", "))
+        }
+    }
+}
+
+/// A method with its figure as a part of ours.
+pub(crate) fn margin(title: &str, other: f64, ours: f64) -> String {
+    match ours > 0.0 {
+        true => format!("{title} ({:.2} of ours)", other / ours),
+        false => format!("{title} (equal)"),
     }
 }
 
@@ -114,7 +128,9 @@ mod tests {
     fn row(values: [Option<f64>; 5]) -> Row {
         let cell =
             |value: Option<f64>| value.map_or(Cell::none(), |value| Cell::new(value, value.to_string()));
-        Row::new("error, cm", values.map(cell).into(), "it must be so")
+        Row::new("error, cm", values.map(cell).into(), |ahead| {
+            ahead.contains(&Kind::Tsif).then(|| "it must be so".to_owned())
+        })
     }
 
     #[test]
@@ -122,11 +138,18 @@ mod tests {
         assert!(row([Some(1.0), Some(2.0), Some(1.5), None, Some(9.0)]).is_ahead());
         let behind = row([Some(1.0), Some(0.5), Some(1.5), None, Some(1.0)]);
         assert!(!behind.is_ahead());
-        assert_eq!(behind.verdict, "not ahead of TSIF, dead reckoning: it must be so");
+        assert_eq!(
+            behind.verdict,
+            "not ahead of TSIF (0.50 of ours), dead reckoning (1.00 of ours): it must be so"
+        );
+        let unexplained = row([Some(1.0), Some(2.0), Some(0.951), None, None]);
+        assert_eq!(unexplained.verdict, "not ahead of MSF (0.95 of ours)");
         assert_eq!(row([Some(1.0), None, None, None, None]).verdict, "alone");
         let mut sheet = Sheet::of_methods("Errors");
         sheet.rows.push(behind);
         let text = sheet.table().text();
-        assert!(text.contains("error, cm: not ahead of TSIF, dead reckoning: it must be so."), "{text}");
+        let why =
+            "error, cm: not ahead of TSIF (0.50 of ours), dead reckoning (1.00 of ours): it must be so.";
+        assert!(text.contains(why), "{text}");
     }
 }

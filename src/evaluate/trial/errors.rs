@@ -80,6 +80,15 @@ pub struct Errors {
 }
 
 impl Errors {
+    /// One estimate that is so far off on all axes alike, with such a sigma: m, rad.
+    #[cfg(test)]
+    pub fn off_by(off: f64, sigma: f64) -> Self {
+        let normalized = [(off / sigma).powi(2); 6];
+        let squared = 3.0 * off * off;
+        let heading_squared = off * off;
+        Self { count: 1.0, position_squared: squared, heading_squared, normalized, ..Self::default() }
+    }
+
     pub(super) fn note(&mut self, estimate: &Estimate, truth: &Truth) {
         let position = estimate.state.position - truth.state.position;
         let rotation = (estimate.state.rotation * truth.state.rotation.inverse()).log();
