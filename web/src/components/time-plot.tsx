@@ -9,6 +9,8 @@ import type { Format } from "../format";
 import { useSpeech } from "../text";
 
 const HEIGHT_PX = 128;
+/** Finer than this an axis has no words for. */
+const LEAST_RANGE = 1e-3;
 /** Lanes have the same margins, so that moments stand above each other. */
 export const PLOT_LEFT_PX = 52;
 export const PLOT_RIGHT_PX = 14;
@@ -55,12 +57,11 @@ export function TimePlot(props: TimePlotProps) {
     if (container === null) return;
     const open = () => {
       plot.current?.destroy();
-      const given = latest.current;
       plot.current = new uPlot(
-        options(container, given, format, (index) => {
+        options(container, latest, format, (index) => {
           cursor.value = index;
         }),
-        dataOf(given),
+        dataOf(latest.current),
         container,
       );
     };
@@ -121,13 +122,14 @@ function dataOf({ times_s, lines }: TimePlotProps): uPlot.AlignedData {
   return [times_s, ...lines.map(({ values }) => values)];
 }
 
-function options(
+/** What changes while the plot stands, such as the span, is read out of `latest` at each drawing. */
+export function options(
   container: HTMLElement,
-  props: TimePlotProps,
+  latest: { readonly current: TimePlotProps },
   format: Format,
   onCursor: (index: number | null) => void,
 ): uPlot.Options {
-  const { lines, limit = null, syncKey, height = HEIGHT_PX } = props;
+  const { lines, limit = null, syncKey, height = HEIGHT_PX } = latest.current;
   const style = getComputedStyle(container);
   const colour = (name: string) => style.getPropertyValue(name).trim();
   const axis = {
@@ -136,7 +138,8 @@ function options(
     ticks: { show: false },
     grid: { stroke: colour("--line"), width: 1 },
   };
-  const tick = props.tick ?? ((time_s: number, step_s: number): string => format.tick(time_s * 1000, step_s));
+  const tick = (time_s: number, step_s: number): string =>
+    latest.current.tick?.(time_s, step_s) ?? format.tick(time_s * 1000, step_s);
   return {
     width: Math.max(120, container.clientWidth),
     height,
@@ -149,7 +152,13 @@ function options(
       points: { size: 6 },
     },
     scales: {
-      x: { time: false, range: () => [props.span[0], Math.max(props.span[1], props.span[0] + 1)] },
+      x: {
+        time: false,
+        range: () => {
+          const [from, to] = latest.current.span;
+          return [from, Math.max(to, from + 1)];
+        },
+      },
       y: { range: (_plot, least, most) => rangeOf(least, most, limit) },
     },
     axes: [
@@ -164,11 +173,7 @@ function options(
         ...axis,
         size: PLOT_LEFT_PX,
         space: 26,
-        values: (_plot, ticks) => {
-          const step = Math.abs((ticks[1] ?? 1) - (ticks[0] ?? 0));
-          const digits = Math.min(4, Math.max(0, -Math.floor(Math.log10(step) + 1e-9)));
-          return ticks.map((value) => format.number(value, digits));
-        },
+        values: (_plot, ticks) => format.axis(ticks),
       },
     ],
     series: [
@@ -206,7 +211,7 @@ function options(
 
 function rangeOf(least: number | null, most: number | null, limit: number | null): [number, number] {
   const low = Math.min(0, least ?? 0);
-  const high = Math.max(most ?? 0, limit ?? 0, low + 1e-6);
+  const high = Math.max(most ?? 0, limit ?? 0, low + LEAST_RANGE);
   // The range may not follow every tremble of a value around zero.
   const room = (high - low) * 0.12;
   return [low < 0 ? low - room : 0, high + room];
