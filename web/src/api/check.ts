@@ -27,11 +27,15 @@ import {
   type Ellipse95,
   EVENT_KINDS,
   EVENT_SEVERITIES,
+  type EventDetail,
+  type EventKind,
+  type EventSeverity,
   type EventsAnswer,
   FIX_STATES,
   type FleetView,
   GNSS_STATES,
   type GnssView,
+  GRAPHS,
   type Health,
   type HealthView,
   type HistoryView,
@@ -300,15 +304,30 @@ export const checkTrack = object<TrackAnswer>({
   machines: list(machineTrack),
 });
 
-/** Fields beside these three depend on the kind, and are taken as they come. */
-const machineEvent: Check<MachineEvent> = (value, path) => ({
-  ...(record(value, path) as Partial<MachineEvent>),
-  ...object<Pick<MachineEvent, "stamp_ns" | "severity" | "kind">>({
-    stamp_ns: number,
-    severity: oneOf(EVENT_SEVERITIES),
-    kind: oneOf(EVENT_KINDS),
-  })(value, path),
+/** By its kind, the fields of an event. */
+type Detail<Kind extends EventKind> = Omit<Extract<EventDetail, { kind: Kind }>, "kind">;
+const eventDetails: { [Kind in EventKind]: Check<Detail<Kind>> } = {
+  mode_changed: object<Detail<"mode_changed">>({ from: oneOf(MODES), to: oneOf(MODES) }),
+  graph_changed: object<Detail<"graph_changed">>({ from: oneOf(GRAPHS), to: oneOf(GRAPHS), reason: text }),
+  gnss_changed: object<Detail<"gnss_changed">>({ from: oneOf(GNSS_STATES), to: oneOf(GNSS_STATES) }),
+  initialized: object<Detail<"initialized">>({ heading_from: text, heading_sigma_deg: number }),
+  refused: object<Detail<"refused">>({ sensor: oneOf(SENSORS), count: number, reason: text }),
+  outage_began: object<Detail<"outage_began">>({ cause: oneOf(GNSS_STATES) }),
+  outage_ended: outage,
+  restarted: object<Detail<"restarted">>({ reason: text }),
+};
+
+const eventHead = object<{ stamp_ns: number; severity: EventSeverity; kind: EventKind }>({
+  stamp_ns: number,
+  severity: oneOf(EVENT_SEVERITIES),
+  kind: oneOf(EVENT_KINDS),
 });
+
+const machineEvent: Check<MachineEvent> = (value, path) => {
+  const head = eventHead(value, path);
+  // Each kind has its fields by the table above; the compiler does not follow that through a union.
+  return { ...head, ...eventDetails[head.kind](value, path) } as MachineEvent;
+};
 
 const sessionEvent = object<SessionEvent>({ time, machine: text, event: machineEvent });
 

@@ -881,7 +881,7 @@ export interface components {
         /** @description One event of a machine. */
         Event: components["schemas"]["EventKind"] & {
             /** @description How much it matters. */
-            severity: components["schemas"]["Severity"];
+            severity: components["schemas"]["EventSeverity"];
             /**
              * Format: int64
              * @description When, by the machine's stamps, ns.
@@ -948,6 +948,11 @@ export interface components {
             /** @description Why. */
             reason: string;
         };
+        /**
+         * @description How much an event matters.
+         * @enum {string}
+         */
+        EventSeverity: "info" | "warning" | "error";
         /** @description What happened in a session. */
         EventsAnswer: {
             /** @description In order of time, 5000 at most. */
