@@ -6,8 +6,8 @@ import { join } from "node:path";
 
 const require = createRequire(import.meta.url);
 
-/** A site without accounts or without a plan of its own has no such paths: the page asks, and goes on without. */
-const OPTIONAL = new Set(["/api/v1/me", "/api/v1/plan"]);
+/** A site without a plan of its own has no such path: the page asks, and goes on without. */
+const OPTIONAL = "/api/v1/plan";
 
 export class Watched {
   /** Requests to anywhere but the page's own origin. */
@@ -26,7 +26,7 @@ export class Watched {
     page.on("websocket", (socket) => seen(socket.url()));
     page.on("worker", (worker) => seen(worker.url()));
     page.on("console", (message) => {
-      const notThere = OPTIONAL.has(new URL(message.location().url || origin).pathname);
+      const notThere = new URL(message.location().url || origin).pathname === OPTIONAL;
       if (message.type() === "error" && !notThere) this.complaints.push(message.text());
     });
     page.on("pageerror", (error) => this.complaints.push(error.message));
