@@ -131,8 +131,10 @@ export function Banners() {
   return (
     <>
       {link.phase === "lost" && (
-        <div class="banner banner-bad" role="alert" data-banner="link">
-          {site === null ? text.link.neverOpened(silence) : text.link.lostBanner(silence)}{" "}
+        <div class="banner banner-bad" data-banner="link">
+          {/* Said once: the seconds beside it are for the eye. */}
+          <span role="alert">{site === null ? text.link.neverOpened : text.link.lostBanner}</span>{" "}
+          {text.link.silentFor(silence)}{" "}
           {link.retry_at_ms > now_ms
             ? text.link.retry(format.age((link.retry_at_ms - now_ms) / 1000))
             : text.link.retryNow}

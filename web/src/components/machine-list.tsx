@@ -22,6 +22,7 @@ import { BudgetLine } from "./budget";
 import { Field } from "./field";
 import { SeverityIcon } from "./icons";
 import { MachineDetails } from "./machine-details";
+import { TableHead } from "./table-head";
 
 /** With more machines, a line each is easier to read than a card each. */
 const CARDS_MAX = 8;
@@ -73,17 +74,17 @@ function MachineTable({ state }: { state: State }) {
   return (
     <div class="table-scroll">
       <table class="table machine-table">
-        <thead>
-          <tr>
-            <th scope="col">{text.machines.title}</th>
-            <th scope="col">{text.machines.state}</th>
-            <th scope="col">{text.fields.positionSigma}</th>
-            <th scope="col">{text.fields.headingSigma}</th>
-            <th scope="col">{text.fields.worstTest}</th>
-            <th scope="col">{text.machines.place}</th>
-            <th scope="col">{text.details.ageColumn}</th>
-          </tr>
-        </thead>
+        <TableHead
+          names={[
+            text.machines.title,
+            text.machines.state,
+            text.fields.positionSigma,
+            text.fields.headingSigma,
+            text.fields.worstTest,
+            text.machines.place,
+            text.details.ageColumn,
+          ]}
+        />
         <tbody>
           {[...state.machines].map(([id, machine]) => {
             const { pose, health, name, state_word } = machine.view;
@@ -176,7 +177,7 @@ function MachineCard({ id, machine, state, brief }: CardProps) {
         {view.presence !== "online" && (
           <span class="presence">
             {text.presence[view.presence]}, {text.fields.since.toLowerCase()}{" "}
-            {format.timeOfDay(Date.parse(view.presence_since))}
+            {format.moment(Date.parse(view.presence_since), state.siteTime_ms ?? Date.now())}
           </span>
         )}
       </button>
@@ -205,7 +206,7 @@ function MachineCard({ id, machine, state, brief }: CardProps) {
           {text.fields.waitsFor}: {health.report.waits_for}
         </p>
       )}
-      {!brief && <BudgetLine gnss={view.gnss} />}
+      {!brief && <BudgetLine machine={machine} state={state} />}
       {selected && !brief && <MachineDetails machine={machine} state={state} />}
     </li>
   );

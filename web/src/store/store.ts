@@ -32,6 +32,8 @@ export interface State {
   site: Site | null;
   /** The site's clock, ms since 1970, for `now_ms`; `null` before it spoke. */
   siteTime_ms: number | null;
+  /** When the site told its views last, by the page's monotonic clock; `null` before it spoke. */
+  told_ms: number | null;
   machines: ReadonlyMap<string, Machine>;
   /** Messages that could not be read, and what was wrong with the last. */
   unreadable: { count: number; last: string | null };
@@ -71,6 +73,7 @@ export class Store implements Source {
       link: this.link,
       site: null,
       siteTime_ms: null,
+      told_ms: null,
       machines: new Map(),
       unreadable: this.unreadable,
     };
@@ -145,6 +148,7 @@ export class Store implements Source {
         this.lastSiteTime === null
           ? null
           : this.lastSiteTime.time_ms + (now_ms - this.lastSiteTime.received_ms),
+      told_ms: this.lastSiteTime?.received_ms ?? null,
       machines:
         snapshot === null && views.size === 0
           ? before.machines

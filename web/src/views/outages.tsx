@@ -10,15 +10,18 @@ import {
   type OutageView,
 } from "../api/outages";
 import { fetchSessions } from "../api/sessions";
+import { fetchShadow, type ShadowCell } from "../api/shadow-map";
 import { FIX_STATES, type FixState } from "../api/types";
 import type { ViewProps } from "../app";
 import { useAsked } from "../components/async";
 import { type Lane, Lanes } from "../components/lanes";
+import { TableHead } from "../components/table-head";
 import { TimePlot } from "../components/time-plot";
 import type { Metres } from "../geometry/geodesy";
+import type { Extent } from "../geometry/grid";
+import type { PlanPainter } from "../plan/painter";
 import type { Palette } from "../plan/palette";
 import { Plan } from "../plan/plan";
-import { fetchShadow } from "../plan/site-plan";
 import type { Shape } from "../plan/view";
 import { note, paths } from "../route";
 import { type Choices, DeskContext, type Source, useDesk } from "../store/context";
@@ -43,6 +46,10 @@ const HOUR_S = 3_600;
 const PERIODS_H = [1, 24, 168, 720] as const;
 const REFRESH_MS = 10_000;
 const SHADOW_CELL_M = 2;
+const SHADOW_REFRESH_MS = 60_000;
+const NO_CELLS: readonly ShadowCell[] = [];
+/** Around what a plan is to show. */
+const ROOM_M = 6;
 const LEAST_S = [0, 5, 30, 60, 300] as const;
 
 export default function OutagesPage({ route }: ViewProps) {
@@ -180,6 +187,16 @@ function Overview({ query }: { query: URLSearchParams }) {
           {words.print}
         </button>
       </div>
+      {/* On paper the fields are gone: what they were set to is not. */}
+      <p class="print-only print-filter">
+        {[
+          `${words.period}: ${words.periods(hours.value)}`,
+          `${words.machine}: ${machine.value === "" ? words.all : (names.get(machine.value) ?? machine.value)}`,
+          `${words.cause}: ${cause.value === "" ? words.all : text.fix[cause.value]}`,
+          `${words.atLeast}: ${least_s.value === 0 ? words.any : format.span(least_s.value)}`,
+          ...(open.value === "open" ? [words.onlyOpen] : []),
+        ].join(" · ")}
+      </p>
       {asked.failure !== null && <p class="failure">{asked.failure}</p>}
       <Lanes wide lanes={lanes} span={span} />
       <p class="lane-axis">
@@ -199,17 +216,17 @@ function Overview({ query }: { query: URLSearchParams }) {
           <h2 id="statistics-title">{words.statistics}</h2>
           {statistics.failure !== null && <p class="failure">{statistics.failure}</p>}
           <table class="table">
-            <thead>
-              <tr>
-                <th scope="col">{words.machine}</th>
-                <th scope="col">{words.count}</th>
-                <th scope="col">{words.total}</th>
-                <th scope="col">{words.longest}</th>
-                <th scope="col">{words.share}</th>
-                <th scope="col">{words.maxSigma}</th>
-                <th scope="col">{words.maxJump}</th>
-              </tr>
-            </thead>
+            <TableHead
+              names={[
+                words.machine,
+                words.count,
+                words.total,
+                words.longest,
+                words.share,
+                words.maxSigma,
+                words.maxJump,
+              ]}
+            />
             <tbody>
               {(statistics.value?.machines ?? []).map(({ machine: id, total, days }) => (
                 <>
@@ -230,7 +247,12 @@ function Overview({ query }: { query: URLSearchParams }) {
               ))}
             </tbody>
           </table>
-          <p class="zone">{text.machine.timesIn(format.zoneName(siteNow_ms))}</p>
+          {/* The site cuts days at its own midnight, whatever zone the page tells times in. */}
+          {statistics.value !== null && (
+            <p class="zone" data-days-in={statistics.value.time_zone}>
+              {words.daysIn(statistics.value.time_zone)}
+            </p>
+          )}
           <ShadowPlan hours={hours.value} machine={machine.value} />
         </section>
       </div>
@@ -269,17 +291,17 @@ function OutageTable({ outages, names }: { outages: OutageView[]; names: Map<str
   const words = text.outages;
   return (
     <table class="table">
-      <thead>
-        <tr>
-          <th scope="col">{words.began}</th>
-          <th scope="col">{words.machine}</th>
-          <th scope="col">{words.cause}</th>
-          <th scope="col">{words.lasted}</th>
-          <th scope="col">{words.travelled}</th>
-          <th scope="col">{words.maxSigma}</th>
-          <th scope="col">{words.jump}</th>
-        </tr>
-      </thead>
+      <TableHead
+        names={[
+          words.began,
+          words.machine,
+          words.cause,
+          words.lasted,
+          words.travelled,
+          words.maxSigma,
+          words.jump,
+        ]}
+      />
       <tbody>
         {outages.map((outage) => (
           <tr key={outage.id} data-outage={outage.id}>
@@ -312,21 +334,54 @@ function OutageTable({ outages, names }: { outages: OutageView[]; names: Map<str
 /** The plan with the shadows of the period, and without machines. */
 function ShadowPlan({ hours, machine }: { hours: number; machine: string }) {
   const desk = useDesk();
+  const empty = useEmptyDesk();
   const { text } = useSpeech();
   const plan = useSitePlan();
+  const painter = useSignal<PlanPainter | null>(null);
   const from = () =>
     new Date((desk.store.calm.peek().siteTime_ms ?? Date.now()) - hours * HOUR_S * 1000).toISOString();
-  const cells = useAsked(`${hours} ${machine}`, () =>
-    fetchShadow({ cell_m: SHADOW_CELL_M, from: from(), machine: machine || null }),
+  const asked = useAsked(
+    `${hours} ${machine}`,
+    (signal) => fetchShadow({ cell_m: SHADOW_CELL_M, from: from(), machine: machine || null }, signal),
+    SHADOW_REFRESH_MS,
   );
+  const cells = asked.value ?? NO_CELLS;
+  const some = cells.length > 0;
+  // The camera goes where something was observed, once; then it is the person's.
+  useEffect(() => {
+    const extent = extentOf(
+      cells.flatMap(({ east_m, north_m, cell_m }): Metres[] => [
+        [east_m, north_m],
+        [east_m + cell_m, north_m + cell_m],
+      ]),
+    );
+    if (extent !== null) painter.value?.show(extent);
+  }, [some, painter.value]);
   return (
     <>
       <h2>{text.outages.shadow}</h2>
-      <div class="inset-plan">
-        <Plan features={plan.features} shadow={cells.value ?? []} />
-      </div>
+      {asked.failure !== null && <p class="failure">{text.plan.shadowFailed(asked.failure)}</p>}
+      <DeskContext.Provider value={empty}>
+        <div class="inset-plan" data-shadow-cells={cells.length}>
+          <Plan
+            features={plan.features}
+            shadow={cells}
+            onReady={(made) => {
+              painter.value = made;
+            }}
+          />
+        </div>
+      </DeskContext.Provider>
     </>
   );
+}
+
+/** What holds all the points, with a little room; `null` without any. */
+function extentOf(points: readonly Metres[]): Extent | null {
+  if (points.length === 0) return null;
+  const most = (sign: 1 | -1, axis: 0 | 1) =>
+    points.reduce((found, point) => Math.max(found, sign * point[axis]), Number.NEGATIVE_INFINITY) + ROOM_M;
+  return { min: [-most(-1, 0), -most(-1, 1)], max: [most(1, 0), most(1, 1)] };
 }
 
 function Detail({ id }: { id: string }) {
@@ -484,13 +539,8 @@ function WayPlan({ outage }: { outage: OutageDetail }) {
           features={plan.features}
           extra={extra}
           onReady={(painter) => {
-            if (points.length === 0) return;
-            const room_m = 6;
-            const [east, north] = [points.map(([x]) => x), points.map(([, y]) => y)];
-            painter.show({
-              min: [Math.min(...east) - room_m, Math.min(...north) - room_m],
-              max: [Math.max(...east) + room_m, Math.max(...north) + room_m],
-            });
+            const extent = extentOf(points);
+            if (extent !== null) painter.show(extent);
           }}
         />
       </div>
