@@ -248,7 +248,12 @@ async fn live_socket_opens_by_cookie_token_or_one_use_ticket_and_closes_with_the
     let ticket = exchange(address, "POST", "/api/v1/live-ticket", &good).await;
     assert_eq!(ticket.status, 201);
     let query = format!("?ticket={}", ticket.json()["ticket"].as_str().expect("a ticket"));
-    assert_eq!(status(address, &format!("/api/v1/fleet{query}"), &[]).await, 401, "for WebSockets only");
+    for path in ["/api/v1/fleet", "/api/v1/tokens", "/api/v1/outages"] {
+        for headers in [&[][..], &[("upgrade", "websocket"), ("connection", "upgrade")]] {
+            let asked = status(address, &format!("{path}{query}"), headers).await;
+            assert_eq!(asked, 401, "a ticket is for WebSockets only: {path} {headers:?}");
+        }
+    }
     assert!(live(address, &query, &[]).await.is_ok());
     assert_eq!(live(address, &query, &[]).await.err(), Some(401), "once");
     assert_eq!(live(address, "?ticket=0", &[]).await.err(), Some(401));

@@ -12,14 +12,16 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use futures_util::{SinkExt as _, StreamExt as _};
+use holdfast::accounts::{Accounts, Password, Role};
 use holdfast::site::Site;
+use holdfast::time::Span;
 use serde_json::{Value, json};
 use tokio::net::TcpStream;
 use tokio_tungstenite::tungstenite::client::IntoClientRequest as _;
 use tokio_tungstenite::tungstenite::http::Response;
 use tokio_tungstenite::tungstenite::{Error, Message};
 
-use support::{Folder, Machine, PATIENCE, get};
+use support::{Folder, Machine, PATIENCE, get, now};
 
 type Socket = tokio_tungstenite::WebSocketStream<tokio_tungstenite::MaybeTlsStream<TcpStream>>;
 
@@ -277,5 +279,27 @@ async fn more_clients_than_places_are_refused_until_one_goes() {
     };
     tokio::time::timeout(PATIENCE, waiting).await.expect("a place");
     drop(clients);
+    site.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn socket_ends_with_the_token_that_opened_it() {
+    let folder = Folder::new("foxglove-accounts");
+    let accounts = Accounts::of(&folder.0).expect("none yet");
+    let password = Password::new("correct horse battery".to_owned());
+    accounts.add_user("anna", Role::Viewer, &password, now()).expect("added");
+    let end = now() + Span::from_seconds(3600.0);
+    let (token, secret) = accounts.add_token("anna", "for tests", Role::Viewer, end, now()).expect("added");
+    let site = Site::start(&folder.config()).await.expect("starts");
+    let bearer = format!("Bearer {}", secret.reveal());
+    let names = ("Sec-WebSocket-Protocol", "foxglove.sdk.v1");
+    let refused = connect(site.address(), "/foxglove", &[names]).await.expect_err("nobody").to_string();
+    assert!(refused.contains("401"), "{refused}");
+    let headers = [names, ("Authorization", bearer.as_str())];
+    let (mut socket, _) = connect(site.address(), "/foxglove", &headers).await.expect("connects");
+    assert_eq!(text(&mut socket).await["op"], "serverInfo");
+    accounts.revoke_token(&token.id, None).expect("revoked");
+    let over = async { while let Some(Ok(_)) = socket.next().await {} };
+    tokio::time::timeout(PATIENCE, over).await.expect("ends with its token");
     site.stop().await;
 }

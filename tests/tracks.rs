@@ -60,7 +60,9 @@ async fn session_is_told_as_tracks_and_events_and_the_past_of_a_machine_as_state
         let track = get(address, &path).await.json();
         let states = track["machines"][0]["states"].as_array().map_or(0, Vec::len);
         let poses = track["machines"][0]["poses"]["time_s"].as_array().map_or(0, Vec::len);
-        (states == 3 && poses > 3).then_some(track)
+        // Topics overtake each other: the pose that ends the silence may come after the health that followed it.
+        let silences = track["machines"][0]["silences"].as_array().map_or(0, Vec::len);
+        (states == 3 && poses > 3 && silences == 1).then_some(track)
     })
     .await;
     assert_eq!((&track["session"], &track["finished"]), (&session.as_str().into(), &false.into()));
@@ -139,9 +141,14 @@ async fn addresses_of_views_are_the_page_and_others_are_nowhere() {
     let site = Site::start(&folder.config()).await.expect("starts");
     let address = site.address();
     let page = get(address, "/").await;
-    for path in
-        ["/alerts", "/outages", "/outages/o-1", "/machines/menzi-1", "/sessions/20261123T050000Z", "/sign-in"]
-    {
+    for path in [
+        "/alerts",
+        "/outages",
+        "/outages/walker-1.cc4940bb99910ec3.1795443516591679918",
+        "/machines/menzi-1",
+        "/sessions/20261123T050000Z",
+        "/sign-in",
+    ] {
         let view = get(address, path).await;
         assert_eq!((view.status, &view.body), (200, &page.body), "{path}");
         assert_eq!(view.header("content-type"), "text/html; charset=utf-8");

@@ -187,6 +187,11 @@ impl Alerts {
                 let message = format!("is {:?}, must begin with http:// or https://", webhook.url);
                 return violation("alerts.webhook.url", message);
             }
+            let authority = webhook.url.split('/').nth(2).unwrap_or_default();
+            if authority.contains('@') {
+                let message = "has a name or password in it: receivers know us by the signature".to_owned();
+                return violation("alerts.webhook.url", message);
+            }
         }
         let Some(mail) = &self.mail else { return Ok(()) };
         if mail.to.is_empty() || mail.to.len() > RECIPIENTS_MAX {

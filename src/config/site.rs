@@ -87,7 +87,7 @@ pub struct Zenoh {
 pub struct Record {
     /// Sessions go to `sessions/` in it.
     pub directory: PathBuf,
-    /// Without it nothing is written to disk.
+    /// Without it no session is recorded.
     pub enabled: bool,
     /// When a new session begins by itself.
     pub rotate: Rotate,

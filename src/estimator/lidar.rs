@@ -138,7 +138,7 @@ impl LidarTrack {
             return;
         }
         let Some(pose) = self.last else { return };
-        graphs.hold(pose.stamp);
+        self.hold(graphs, options);
         let smoother = graphs.active_mut();
         let Some(state) = smoother.state_at(pose.stamp) else { return };
         let world_from_lidar = state.world_from_imu() * options.imu_from_lidar;
@@ -149,6 +149,14 @@ impl LidarTrack {
         };
         let covariance = place::covariance(&there, &state, smoother.newest_covariance());
         self.anchor = Some(Anchor { pose, world_from_lidar, covariance });
+    }
+
+    /// While fixes are lost, both windows reach back to the newest pose: its node is what the next one is relative to.
+    /// With [`InOutage::PseudoGlobal`] it is not.
+    pub fn hold(&self, graphs: &mut Graphs, options: &Options) {
+        if let (InOutage::Relative, Some(pose)) = (options.lidar_in_outage, self.last) {
+            graphs.hold(pose.stamp);
+        }
     }
 
     /// How many increments lie between two poses.

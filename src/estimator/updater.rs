@@ -579,6 +579,10 @@ impl Updater {
             None => {}
             Some(Turn::Lost { since }) => {
                 self.move_graphs(stamp, Graphs::lose, "fixes are lost");
+                if let Phase::Running(running) = &mut self.phase {
+                    // The lidar may have been lost with them.
+                    running.lidar.hold(&mut running.graphs, &self.options);
+                }
                 self.monitor.begin_outage(stamp, since, cause);
             }
             Some(Turn::Recovered) => self.monitor.end_outage(stamp, jump_m),

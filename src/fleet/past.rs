@@ -12,6 +12,8 @@ use crate::time::{Span, Stamp};
 
 /// From one point to the next, at least.
 const EVERY: Span = Span::from_millis(1_000);
+/// Older points are not told.
+const KEPT: Span = Span::from_millis(3_600_000);
 /// The most points of one machine: the oldest go.
 pub const PAST_POINTS_MAX: usize = 3_600;
 
@@ -131,7 +133,7 @@ impl Past {
             }
             let points = self.0.entry(machine.id.clone()).or_default();
             while points.len() >= PAST_POINTS_MAX
-                || points.front().is_some_and(|(first, _)| at - *first > Span::from_millis(3_600_000))
+                || points.front().is_some_and(|(first, _)| at - *first > KEPT)
             {
                 points.pop_front();
             }
@@ -147,10 +149,12 @@ impl Past {
         }
     }
 
-    /// What is known of a machine after `since`, oldest first.
-    pub fn points(&self, machine: &str, since: Option<Stamp>) -> Vec<(Stamp, StatePoint)> {
+    /// What is known of a machine after `since` and of the last hour, oldest first.
+    pub fn points(&self, machine: &str, since: Option<Stamp>, now: Stamp) -> Vec<(Stamp, StatePoint)> {
         let Some(points) = self.0.get(machine) else { return Vec::new() };
-        let first = since.map_or(0, |since| points.partition_point(|(at, _)| *at <= since));
+        let begins = now - KEPT;
+        let since = since.map_or(begins, |since| since.max(begins));
+        let first = points.partition_point(|(at, _)| *at <= since);
         points.range(first..).cloned().collect()
     }
 }

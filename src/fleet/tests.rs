@@ -443,3 +443,26 @@ fn observations_say_what_is_the_case_and_nothing_that_nobody_knows() {
     }
     assert!(later(RuleKind::SensorSilent).is_none());
 }
+
+#[test]
+fn last_hour_of_a_machine_that_went_is_over_an_hour_later() {
+    let (mut fleet, mut past, mut trails) = (fleet(), Past::default(), Trails::default());
+    fleet.announce("a", BOOT, at(0.0));
+    for second in 0..4_u32 {
+        let now = at(f64::from(second));
+        send_health(&mut fleet, u64::from(second), health(Mode::Main, GnssState::Fixed), now);
+        send_pose(&mut fleet, u64::from(second), BOOT, now);
+        fleet.advance(now);
+        let view = fleet.view(now);
+        past.observe(&view);
+        trails.observe(&view);
+    }
+    let known = |now| (past.points("a", None, now).len(), trails.points("a", None, 100, now).0.len());
+    assert_eq!(known(at(3.0)), (4, 4));
+    assert_eq!(known(at(3_601.5)), (2, 2), "what is older than an hour is not told");
+    assert_eq!(known(at(90_000.0)), (0, 0));
+    let since = Some(at(1.0));
+    assert_eq!(past.points("a", since, at(3.0)).len(), 2);
+    let (first, more) = trails.points("a", since, 1, at(3.0));
+    assert_eq!((first.len(), more), (1, true));
+}

@@ -11,6 +11,8 @@ use crate::time::{Span, Stamp};
 
 /// From one point to the next, at least.
 const EVERY: Span = Span::from_millis(1_000);
+/// Older points are not told.
+const KEPT: Span = Span::from_millis(3_600_000);
 /// The most points of one machine: the oldest go.
 pub const TRAIL_POINTS_MAX: usize = 3600;
 
@@ -71,10 +73,19 @@ impl Trails {
         }
     }
 
-    /// Points of a machine that arrived after `since`, `limit` at most, oldest first; and whether there are more.
-    pub fn points(&self, machine: &str, since: Option<Stamp>, limit: usize) -> (Vec<TrailPoint>, bool) {
+    /// Points of a machine that arrived after `since` and in the last hour, `limit` at most, oldest first; and whether
+    /// there are more.
+    pub fn points(
+        &self,
+        machine: &str,
+        since: Option<Stamp>,
+        limit: usize,
+        now: Stamp,
+    ) -> (Vec<TrailPoint>, bool) {
         let Some(trail) = self.0.get(machine) else { return (Vec::new(), false) };
-        let first = since.map_or(0, |since| trail.partition_point(|point| point.time.0 <= since));
+        let begins = now - KEPT;
+        let since = since.map_or(begins, |since| since.max(begins));
+        let first = trail.partition_point(|point| point.time.0 <= since);
         let points: Vec<TrailPoint> = trail.range(first..).take(limit).copied().collect();
         let more = first + points.len() < trail.len();
         (points, more)

@@ -180,8 +180,6 @@ impl Site {
         let outlets = aggregator::Outlets { frames: frame_sender, history: history.inlet() };
         let (feed, feeds) = foxglove::Feed::new();
         let aggregator = aggregator::run(fleet, messages, tokens, outlets, feed, clock, stopped.clone());
-        let trails = http::SharedTrails::default();
-        let follower = http::follow(Arc::clone(&trails), frames.clone(), stopped.clone());
         let backfill = recorder.as_ref().map(|recorder| {
             let outlets = backfill::Outlets {
                 session: session.clone(),
@@ -193,8 +191,8 @@ impl Site {
             };
             Backfill::start(books, outlets, frames.clone(), stopped.clone())
         });
-        let past = http::tracks::SharedPast::default();
-        let historian = http::tracks::follow(Arc::clone(&past), frames.clone(), stopped.clone());
+        let hour = http::Hour::default();
+        let follower = hour.clone().follow(frames.clone(), stopped.clone());
         let surroundings = alerts::Surroundings {
             site: config.id.clone(),
             archive: Arc::clone(&archive),
@@ -214,7 +212,7 @@ impl Site {
             record_directory: config.record.enabled.then(|| config.record.directory.clone()),
             recorder: recorder.as_ref().map(Recorder::progress),
             recorder_inbox: recorder.as_ref().map(Recorder::inbox),
-            past,
+            hour,
             archive,
             alerts: http::AlertsDesk {
                 open: watching.open,
@@ -229,15 +227,9 @@ impl Site {
             stopped: stopped.clone(),
             people: Arc::new(http::People::new(accounts, config.http.clone(), clock)),
             plan: http::Plan::of(&config.record.directory),
-            trails: Arc::clone(&trails),
         };
         let server = http::serve(listener, shared, stopped);
-        let mut tasks = vec![
-            tokio::spawn(aggregator),
-            tokio::spawn(historian),
-            tokio::spawn(follower),
-            tokio::spawn(server),
-        ];
+        let mut tasks = vec![tokio::spawn(aggregator), tokio::spawn(follower), tokio::spawn(server)];
         tasks.extend(watching.tasks);
         Ok(Self { address, endpoints, session, inlet, recorder, backfill, history, stop, tasks })
     }

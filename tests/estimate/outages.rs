@@ -153,6 +153,29 @@ fn lidar_that_was_blind_in_an_outage_finds_its_place_in_its_map() {
     );
 }
 
+#[test]
+fn lidar_that_is_lost_with_the_fixes_comes_back_as_if_it_had_never_gone() {
+    let blind = LOST_S..LOST_S + 10.0;
+    let run_with = |goes: bool| {
+        run(|second, reading| match reading {
+            Reading::LidarOdometry(_) if goes && blind.contains(&second) => None,
+            reading => (!(is_gnss(&reading) && second >= LOST_S)).then_some(reading),
+        })
+    };
+    let (gone, seeing) = (run_with(true), run_with(false));
+    let at = |run: &Run, second: f64| {
+        let index = run.errors.iter().position(|(stamp, _)| *stamp >= second).expect("an estimate");
+        (run.errors[index].1, run.sigmas[index])
+    };
+    let (alone, _) = at(&gone, blind.end - 0.1);
+    let ((back, sigma), (seen, sigma_seen)) = (at(&gone, blind.end + 2.0), at(&seeing, blind.end + 2.0));
+    assert!((back - seen).abs() < 0.03, "{back} m off, {seen} m with lidar all the time, {alone} m before");
+    assert!(
+        (0.97..1.05).contains(&(sigma / sigma_seen)),
+        "sigma {sigma} m, {sigma_seen} m with lidar all the time"
+    );
+}
+
 /// Longer than any window is held.
 #[test]
 fn lidar_that_was_blind_for_minutes_brings_the_position_back_no_surer_than_it_was() {

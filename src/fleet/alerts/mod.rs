@@ -225,7 +225,8 @@ pub struct Alerts {
 }
 
 impl Alerts {
-    /// At most one rule of a kind; the last one counts. `open` are alerts of an earlier run.
+    /// At most one rule of a kind; the last one counts. `open` are alerts of an earlier run; those whose rule is gone
+    /// are over, and told so with the first observation.
     pub fn new(rules: impl IntoIterator<Item = AlertRule>, open: Vec<Alert>) -> Self {
         let rules = rules.into_iter().map(|rule| (rule.kind, rule)).collect();
         let mut watches: BTreeMap<Subject, Watch> = BTreeMap::new();
@@ -239,7 +240,7 @@ impl Alerts {
 
     /// Takes in what is the case at `now`. Returns the alerts that changed.
     pub fn observe(&mut self, observations: Vec<Observation>, now: Stamp) -> Vec<Alert> {
-        let mut changed = Vec::new();
+        let mut changed = self.end_without_rule(now);
         for observation in observations {
             let Some(rule) = self.rules.get(&observation.subject.rule) else { continue };
             let watch = self.watches.entry(observation.subject.clone()).or_default();
@@ -285,6 +286,12 @@ impl Alerts {
         open
     }
 
+    /// Alerts of an earlier run whose rule is not in force any more: nothing would ever end them.
+    fn end_without_rule(&mut self, now: Stamp) -> Vec<Alert> {
+        let orphans = self.watches.iter_mut().filter(|(subject, _)| !self.rules.contains_key(&subject.rule));
+        orphans.filter_map(|(_, watch)| watch.end(now)).collect()
+    }
+
     /// Memory is bounded: the oldest that are over are given up unseen.
     fn forget_too_many(&mut self, now: Stamp) -> Vec<Alert> {
         let open = self.watches.values().filter(|watch| watch.alert.is_some()).count();
@@ -324,12 +331,7 @@ impl Watch {
         };
         alert.worst = if sign * value > sign * alert.worst { value } else { alert.worst };
         match alert.state {
-            AlertState::Active | AlertState::Acknowledged if clears => {
-                let seen = alert.state == AlertState::Acknowledged;
-                alert.state = if seen { AlertState::Cleared } else { AlertState::ClearedUnacknowledged };
-                (alert.cleared, alert.changed) = (Some(now), now);
-                if seen { self.alert.take() } else { Some(alert.clone()) }
-            }
+            AlertState::Active | AlertState::Acknowledged if clears => self.end(now),
             AlertState::ClearedUnacknowledged if raises => {
                 alert.state = AlertState::Active;
                 alert.times = alert.times.saturating_add(1);
@@ -339,6 +341,21 @@ impl Watch {
             }
             _ => None,
         }
+    }
+}
+
+impl Watch {
+    /// What its alert tells of is over; nothing if it was already.
+    fn end(&mut self, now: Stamp) -> Option<Alert> {
+        let alert = self.alert.as_mut()?;
+        let seen = match alert.state {
+            AlertState::Active => false,
+            AlertState::Acknowledged => true,
+            AlertState::ClearedUnacknowledged | AlertState::Cleared => return None,
+        };
+        alert.state = if seen { AlertState::Cleared } else { AlertState::ClearedUnacknowledged };
+        (alert.cleared, alert.changed) = (Some(now), now);
+        if seen { self.alert.take() } else { Some(alert.clone()) }
     }
 }
 

@@ -122,3 +122,21 @@ fn deliveries_are_tried_again_ever_more_rarely() {
     let seconds: Vec<f64> = [0, 1, 2, 3, 10, 11, 40, u32::MAX].map(|n| retry_after(n).as_seconds()).into();
     assert_eq!(seconds, [1.0, 1.0, 2.0, 4.0, 512.0, 600.0, 600.0, 600.0]);
 }
+
+#[test]
+fn alert_of_a_rule_that_is_no_more_ends_and_is_told() {
+    let mut watched = Watched::new(RuleKind::MachineLost, 0.0, 0.0);
+    watched.holds(0, 10, 1.0);
+    let id = watched.id();
+    let mut seen = watched.alerts.open();
+    let mut without_it = Alerts::new([rule(RuleKind::ClockOff, 0.5, 0.2)], seen.clone());
+    let ended = without_it.observe(Vec::new(), at(20.0));
+    assert_eq!((ended.len(), ended[0].state), (1, AlertState::ClearedUnacknowledged));
+    assert_eq!(without_it.observe(Vec::new(), at(21.0)), [], "told once");
+    assert_eq!(without_it.acknowledge(&id, "ana", "", at(22.0)).expect("open").state, AlertState::Cleared);
+    assert_eq!(without_it.open(), []);
+    seen[0].state = AlertState::Acknowledged;
+    let mut without_it = Alerts::new([rule(RuleKind::ClockOff, 0.5, 0.2)], seen);
+    assert_eq!(without_it.observe(Vec::new(), at(20.0))[0].state, AlertState::Cleared);
+    assert_eq!(without_it.open(), []);
+}

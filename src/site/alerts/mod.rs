@@ -37,6 +37,8 @@ use webhook::Hook;
 const COMMANDS_QUEUED: usize = 16;
 /// Room on the disk is looked at so often: frames.
 const DISK_EVERY: u64 = 50;
+/// More changes that the archive cannot take are given up, the oldest first.
+const UNKEPT_MAX: usize = 10_000;
 /// A receiver may take so long.
 const PATIENCE: Duration = Duration::from_secs(10);
 
@@ -159,7 +161,7 @@ pub(super) fn start(config: &config::Alerts, channels: Vec<Channel>, site: Surro
             tokio::spawn(courier.run(bell.subscribe(), site.stopped.clone()))
         })
         .collect();
-    let watcher = Watcher { alerts, site, names, open: open_sender, bell };
+    let watcher = Watcher { alerts, site, names, open: open_sender, unkept: Vec::new(), bell };
     tasks.push(tokio::spawn(watcher.run(commands_receiver)));
     Watching { commands, open, channels, tasks }
 }
@@ -190,6 +192,8 @@ struct Watcher {
     /// Of the channels.
     names: Vec<String>,
     open: watch::Sender<Arc<Vec<Alert>>>,
+    /// Changes that the archive could not take, the oldest first.
+    unkept: Vec<Alert>,
     /// Rung when something is to be delivered.
     bell: watch::Sender<()>,
 }
@@ -221,6 +225,9 @@ impl Watcher {
                     let frame = Arc::clone(&frames.borrow_and_update());
                     if frame.number >= disk_due {
                         disk_due = frame.number + DISK_EVERY;
+                        if !self.unkept.is_empty() {
+                            self.tell(Vec::new()).await;
+                        }
                         state.disk_free_bytes = self.site.record_directory.as_deref().and_then(disk_free_bytes);
                     }
                     let changed = self.alerts.observe(observations(&frame.view, state), frame.view.time.0);
@@ -235,14 +242,17 @@ impl Watcher {
         }
     }
 
-    /// Keeps what changed, then tells it.
-    async fn tell(&self, changed: Vec<Alert>) {
-        let (archive, names) = (Arc::clone(&self.site.archive), self.names.clone());
-        let kept = tokio::task::spawn_blocking(move || archive.put_alerts(&changed, &names)).await;
+    /// Keeps what changed, then tells it. What cannot be kept is tried again with the disk's room, or the next change.
+    async fn tell(&mut self, changed: Vec<Alert>) {
+        self.unkept.extend(changed);
+        self.unkept.drain(..self.unkept.len().saturating_sub(UNKEPT_MAX));
+        let (archive, names, unkept) =
+            (Arc::clone(&self.site.archive), self.names.clone(), self.unkept.clone());
+        let kept = tokio::task::spawn_blocking(move || archive.put_alerts(&unkept, &names)).await;
         match kept {
-            Ok(Ok(())) => {}
-            Ok(Err(error)) => tracing::error!("an alert cannot be kept: {error}"),
-            Err(error) => tracing::error!("an alert cannot be kept: {error}"),
+            Ok(Ok(())) => self.unkept.clear(),
+            Ok(Err(error)) => tracing::error!("alerts cannot be kept, and will be tried again: {error}"),
+            Err(error) => tracing::error!("alerts cannot be kept, and will be tried again: {error}"),
         }
         self.open.send_replace(Arc::new(self.alerts.open()));
         self.bell.send_replace(());

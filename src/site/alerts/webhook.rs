@@ -92,8 +92,6 @@ impl Hook {
         let timestamp = (now.as_nanos() / 1_000_000_000).to_string();
         let target = self.uri.path_and_query().map_or("/", |target| target.as_str());
         let host = self.uri.authority().map(|authority| authority.as_str()).unwrap_or_default();
-        // Who signs in by the address does not do so by this header.
-        let host = host.rsplit('@').next().unwrap_or_default();
         let mut request = Request::builder()
             .method(Method::POST)
             .uri(target)

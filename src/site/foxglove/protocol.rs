@@ -108,6 +108,9 @@ enum Asked {
     },
 }
 
+/// No more of what a client said is said back to it.
+const SAID_MAX: usize = 200;
+
 #[derive(Deserialize)]
 #[serde(rename_all = "camelCase")]
 struct Subscription {
@@ -118,7 +121,15 @@ struct Subscription {
 impl Request {
     /// Reads a message in JSON; says what is wrong with it.
     pub fn of_text(text: &str) -> Result<Self, String> {
-        let asked = serde_json::from_str(text).map_err(|error| format!("not understood: {error}"))?;
+        let asked = serde_json::from_str(text).map_err(|error| {
+            // It quotes what it does not know, which may be long.
+            format!("not understood: {}", error.to_string().chars().take(SAID_MAX).collect::<String>())
+        })?;
+        if let Asked::GetParameters { id: Some(id), .. } | Asked::SetParameters { id: Some(id), .. } = &asked
+            && id.len() > SAID_MAX
+        {
+            return Err(format!("not understood: an id of more than {SAID_MAX} bytes"));
+        }
         Ok(match asked {
             Asked::Subscribe { subscriptions } => {
                 Self::Subscribe(subscriptions.into_iter().map(|one| (one.id, one.channel_id)).collect())

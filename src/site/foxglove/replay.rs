@@ -140,6 +140,10 @@ fn read(files: &[File], from: Stamp, sender: &mpsc::Sender<Recorded<Vec<u8>>>) {
             }
         };
         for message in messages {
+            // A seek elsewhere has dropped the receiver: this place is not wanted any more.
+            if sender.is_closed() {
+                return;
+            }
             let message = match message {
                 Ok(message) => message,
                 Err(error) => {

@@ -2,18 +2,18 @@
 
 use axum::Json;
 use axum::body::Bytes;
-use axum::extract::rejection::{BytesRejection, PathRejection, QueryRejection};
-use axum::extract::{Path, Query, State};
+use axum::extract::rejection::{BytesRejection, PathRejection};
+use axum::extract::{Path, State};
 use axum::http::{HeaderMap, StatusCode};
 use futures_util::future::join_all;
 use serde::{Deserialize, Serialize};
 use tokio::sync::oneshot;
 
 use super::Shared;
-use super::input::{json, malformed};
+use super::input::{Parameters, json, malformed};
 use super::outages::ask;
 use super::problem::Problem;
-use super::query::{bad, limit, time, understood};
+use super::query::{bad, limit, time};
 use super::visitor::Visitor;
 use crate::fleet::{AlertState, AlertView, RuleKind, Unacknowledged};
 use crate::site::alerts::{Acknowledge, Letter, test_alert};
@@ -90,9 +90,8 @@ pub(super) struct TestView {
         (status = INTERNAL_SERVER_ERROR, body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn list(
     State(shared): State<Shared>,
-    query: Result<Query<AlertsQuery>, QueryRejection>,
+    Parameters(query): Parameters<AlertsQuery>,
 ) -> Result<Json<AlertsView>, Problem> {
-    let query = understood(query)?;
     let cursor = |text: String| Cursor::decode(&text).ok_or_else(|| bad("cursor is none of ours"));
     let filter = AlertFilter {
         machine: query.machine,
@@ -110,7 +109,7 @@ pub(super) async fn list(
 
 /// Somebody saw the alert.
 #[utoipa::path(post, path = "/api/v1/alerts/{id}/acknowledge", operation_id = "acknowledge_alert", tag = "alerts",
-    params(("id" = String, Path, description = "The alert's id", min_length = 1, max_length = 64)),
+    params(("id" = String, Path, description = "The alert's id", min_length = 1, max_length = 200)),
     request_body(content = Option<AcknowledgeRequest>, description = "A note; may be left out"),
     responses((status = OK, body = AlertView),
         (status = BAD_REQUEST, body = Problem, content_type = "application/problem+json"),

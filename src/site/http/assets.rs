@@ -51,8 +51,9 @@ fn is_view(path: &str) -> bool {
     let (view, rest) = path.split_once('/').unwrap_or((path, ""));
     match view {
         "alerts" | "account" | "sign-in" => rest.is_empty(),
-        // Names of machines, sessions and outages have no dots and no slashes.
-        "machines" | "outages" | "sessions" => !rest.contains(['/', '.']),
+        // Names of machines and sessions have no dots and no slashes; those of outages are put together with dots.
+        "machines" | "sessions" => !rest.contains(['/', '.']),
+        "outages" => !rest.contains('/'),
         _ => false,
     }
 }

@@ -9,20 +9,16 @@ use super::Shared;
 use super::input::Parameters;
 use super::people::ask;
 use super::problem::Problem;
+use super::query::limit;
 use crate::fleet::UtcTime;
 
 /// Which part of a list.
 #[derive(Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Page {
-    limit: Option<u32>,
+    limit: Option<usize>,
     cursor: Option<String>,
 }
-
-/// The most entries of one answer.
-pub(super) const LIMIT_MAX: u32 = 1000;
-/// Entries of an answer if nobody says how many.
-pub(super) const LIMIT_DEFAULT: u32 = 100;
 
 impl Page {
     /// From where on.
@@ -37,14 +33,7 @@ impl Page {
 
     /// How many.
     pub fn limit(&self) -> Result<usize, Problem> {
-        let limit = self.limit.unwrap_or(LIMIT_DEFAULT);
-        match (1..=LIMIT_MAX).contains(&limit) {
-            true => Ok(limit as usize),
-            false => {
-                let detail = format!("limit is {limit}, must be from 1 to {LIMIT_MAX}");
-                Err(Problem::new(StatusCode::BAD_REQUEST, detail))
-            }
-        }
+        limit(self.limit)
     }
 }
 

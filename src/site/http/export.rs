@@ -21,6 +21,7 @@ use tokio::sync::{Semaphore, mpsc, oneshot};
 use super::Shared;
 use super::input::{Parameters, malformed};
 use super::problem::Problem;
+use super::query::bad;
 use super::sessions::ask;
 use crate::export::{
     Format, Frame, GatherError, Gathered, Lack, Options, Spool, TrackWriter, beside, gather,
@@ -233,10 +234,6 @@ impl Job {
         }
         Ok(())
     }
-}
-
-fn bad(detail: impl Into<String>) -> Problem {
-    Problem::new(StatusCode::BAD_REQUEST, detail)
 }
 
 /// The body, on its way out.

@@ -2,21 +2,20 @@
 
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 
-use axum::extract::rejection::QueryRejection;
+use axum::extract::State;
 use axum::extract::ws::WebSocketUpgrade;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
-use axum::extract::{Query, State};
 use axum::http::StatusCode;
 use axum::response::Response;
 use serde::Deserialize;
 
 use super::Shared;
+use super::input::Parameters;
+use super::place::Place;
 use super::problem::Problem;
 use super::sessions::ask;
-use crate::frames::geodesy::{Geodetic, SiteFrame};
-use crate::site::counters::{Counters, add, get};
+use super::visitor::Visitor;
 use crate::site::foxglove::{Dialect, Session, Site, check_speed, serve_live, serve_session};
 
 /// More clients at once are refused: each may want every message of every machine.
@@ -26,9 +25,13 @@ const REQUEST_BYTES_MAX: usize = 256 * 1024;
 
 /// What is to be shown.
 #[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub(super) struct Wanted {
     session: Option<String>,
     speed: Option<f64>,
+    /// The guard has taken it.
+    #[serde(rename = "ticket")]
+    _ticket: Option<String>,
 }
 
 /// The machines in Foxglove or Lichtblick, live, or a recorded session with playback control: a WebSocket with the
@@ -37,7 +40,9 @@ pub(super) struct Wanted {
 #[utoipa::path(get, path = "/foxglove", tag = "fleet",
     params(("session" = Option<String>, Query, description = "Play this session instead of showing what is live"),
         ("speed" = Option<f64>, Query, minimum = 0.01, maximum = 100.0,
-            description = "Of the session, seconds in a second; by default 1")),
+            description = "Of the session, seconds in a second; by default 1"),
+        ("ticket" = Option<String>, Query, max_length = 64,
+            description = "From `POST /api/v1/live-ticket`, for those who can send neither cookie nor token")),
     responses((status = SWITCHING_PROTOCOLS, description = "A WebSocket"),
         (status = BAD_REQUEST, body = Problem, content_type = "application/problem+json"),
         (status = NOT_FOUND, description = "There is no such session, or no message in it", body = Problem,
@@ -47,12 +52,12 @@ pub(super) struct Wanted {
         (status = FORBIDDEN, body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn foxglove(
     State(shared): State<Shared>,
-    wanted: Result<Query<Wanted>, QueryRejection>,
+    visitor: Visitor,
+    Parameters(wanted): Parameters<Wanted>,
     upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
 ) -> Result<Response, Problem> {
     let upgrade = upgrade.map_err(|rejection| Problem::new(rejection.status(), rejection.body_text()))?;
     let bad = |detail: String| Problem::new(StatusCode::BAD_REQUEST, detail);
-    let Query(wanted) = wanted.map_err(|rejection| bad(rejection.body_text()))?;
     let speed = wanted.speed.unwrap_or(1.0);
     check_speed(speed).map_err(bad)?;
     let upgrade = upgrade.max_message_size(REQUEST_BYTES_MAX).protocols(Dialect::ALL.map(Dialect::name));
@@ -62,51 +67,31 @@ pub(super) async fn foxglove(
         let [new, old] = Dialect::ALL.map(Dialect::name);
         bad(format!("Sec-WebSocket-Protocol must name {new} or {old}"))
     })?;
+    let place = Place::take(&shared.counters, |counters| &counters.foxglove_clients, CLIENTS_MAX)?;
     let session = match wanted.session {
         Some(id) => Some(open(&shared, id).await?),
         None => None,
     };
-    let place = Place::take(&shared)?;
     Ok(upgrade.on_upgrade(async move |socket| {
         let _place = place;
-        match session {
-            Some(session) => serve_session(socket, dialect, session, speed, shared.stopped).await,
-            None => serve_live(socket, dialect, site(&shared)).await,
+        let served = async {
+            match session {
+                Some(session) => serve_session(socket, dialect, session, speed, shared.stopped.clone()).await,
+                None => serve_live(socket, dialect, site(&shared)).await,
+            }
+        };
+        tokio::select! {
+            () = served => {}
+            // The socket goes with what serves it.
+            () = shared.people.gone(&visitor) => {}
         }
     }))
 }
 
-/// One of the clients there may be; given back when it is dropped.
-struct Place(Arc<Counters>);
-
-impl Place {
-    fn take(shared: &Shared) -> Result<Self, Problem> {
-        if get(&shared.counters.foxglove_clients) >= CLIENTS_MAX {
-            let detail = format!("{CLIENTS_MAX} clients are connected already");
-            return Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, detail));
-        }
-        add(&shared.counters.foxglove_clients, 1);
-        Ok(Self(Arc::clone(&shared.counters)))
-    }
-}
-
-impl Drop for Place {
-    fn drop(&mut self) {
-        self.0.foxglove_clients.fetch_sub(1, Ordering::Relaxed);
-    }
-}
-
 fn site(shared: &Shared) -> Site {
-    let frame = shared.frame();
-    let site = &frame.view.site;
-    let origin = Geodetic {
-        latitude_deg: site.world.latitude_deg,
-        longitude_deg: site.world.longitude_deg,
-        altitude_m: site.world.altitude_m,
-    };
     Site {
-        name: site.name.clone(),
-        frame: SiteFrame::new(origin),
+        name: shared.frame().view.site.name.clone(),
+        frame: shared.site_frame,
         feeds: shared.feeds.clone(),
         clock: shared.clock,
         counters: Arc::clone(&shared.counters),

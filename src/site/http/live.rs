@@ -10,16 +10,16 @@ use std::time::Duration;
 use axum::extract::State;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
 use axum::extract::ws::{CloseFrame, Message, WebSocket, WebSocketUpgrade, close_code};
-use axum::http::StatusCode;
 use axum::response::Response;
 use serde::{Deserialize, Serialize};
 
 use super::Shared;
+use super::place::Place;
 use super::problem::Problem;
 use super::visitor::Visitor;
 use crate::fleet::{Alert, AlertView, FleetView, MachineView};
 use crate::site::aggregator::{FRAME_RATE_HZ, Frame, Revision};
-use crate::site::counters::{add, get};
+use crate::site::counters::add;
 use crate::site::ended;
 
 /// Rate of a client that asks for none, Hz.
@@ -34,8 +34,6 @@ const SEND_TIMEOUT: Duration = Duration::from_secs(10);
 const QUIET_FRAMES_MAX: u64 = FRAME_RATE_HZ as u64;
 /// No request is longer.
 const REQUEST_BYTES_MAX: usize = 64 * 1024;
-/// Who was let in is asked for again so often: it may have been removed, or signed out.
-const STILL_EVERY: Duration = Duration::from_secs(2);
 /// More names in a subscription are refused.
 const MACHINES_MAX: usize = crate::fleet::MACHINES_MAX;
 
@@ -108,18 +106,13 @@ pub(super) async fn live(
     upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
 ) -> Result<Response, Problem> {
     let upgrade = upgrade.map_err(|rejection| Problem::new(rejection.status(), rejection.body_text()))?;
-    if get(&shared.counters.ws_clients) >= CLIENTS_MAX {
-        let detail = format!("{CLIENTS_MAX} live clients are connected already");
-        return Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, detail));
-    }
-    Ok(upgrade.max_message_size(REQUEST_BYTES_MAX).on_upgrade(move |socket| serve(socket, shared, visitor)))
-}
-
-async fn serve(mut socket: WebSocket, shared: Shared, visitor: Visitor) {
-    add(&shared.counters.ws_clients, 1);
-    // An error is a client that went away: nobody is left to tell.
-    let _ = talk(&mut socket, &shared, &visitor).await;
-    shared.counters.ws_clients.fetch_sub(1, std::sync::atomic::Ordering::Relaxed);
+    let place = Place::take(&shared.counters, |counters| &counters.ws_clients, CLIENTS_MAX)?;
+    let upgrade = upgrade.max_message_size(REQUEST_BYTES_MAX);
+    Ok(upgrade.on_upgrade(async move |mut socket| {
+        let _place = place;
+        // An error is a client that went away: nobody is left to tell.
+        let _ = talk(&mut socket, &shared, &visitor).await;
+    }))
 }
 
 async fn talk(socket: &mut WebSocket, shared: &Shared, visitor: &Visitor) -> Result<(), axum::Error> {
@@ -130,7 +123,8 @@ async fn talk(socket: &mut WebSocket, shared: &Shared, visitor: &Visitor) -> Res
     let mut client = Client::new(frame.number);
     let snapshot = client.snapshot(&frame);
     send(socket, snapshot).await?;
-    let mut asking = tokio::time::interval(STILL_EVERY);
+    let gone = shared.people.gone(visitor);
+    tokio::pin!(gone);
     loop {
         tokio::select! {
             () = ended(&mut stopped) => {
@@ -138,11 +132,11 @@ async fn talk(socket: &mut WebSocket, shared: &Shared, visitor: &Visitor) -> Res
                 let close = CloseFrame { code: close_code::AWAY, reason };
                 return send(socket, Message::Close(Some(close))).await;
             }
-            _ = asking.tick() => if !shared.people.still(visitor) {
+            () = &mut gone => {
                 let reason = "who opened this is not known any more".into();
                 let close = CloseFrame { code: close_code::POLICY, reason };
                 return send(socket, Message::Close(Some(close))).await;
-            },
+            }
             request = socket.recv() => match request {
                 None => return Ok(()),
                 Some(Err(error)) => return Err(error),

@@ -11,12 +11,14 @@ mod download;
 mod export;
 mod foxglove;
 mod guard;
+mod hour;
 mod input;
 mod live;
 mod metrics;
 mod origin;
 mod outages;
 mod people;
+mod place;
 mod plan;
 mod problem;
 mod query;
@@ -26,7 +28,7 @@ mod sessions;
 #[cfg(test)]
 mod tests;
 mod tokens;
-pub(super) mod tracks;
+mod tracks;
 mod trajectory;
 mod users;
 mod visitor;
@@ -57,10 +59,10 @@ use super::sessions::{Catalogue, Command, Progress};
 use crate::fleet::Alert;
 use crate::frames::geodesy::SiteFrame;
 pub(super) use export::turnstile;
+pub(super) use hour::Hour;
 pub(super) use plan::Plan;
 use problem::Problem;
 use routes::{Needs, Routes};
-pub(super) use trajectory::{SharedTrails, follow};
 pub(super) use visitor::People;
 
 /// What the handlers see of the site.
@@ -75,7 +77,8 @@ pub(super) struct Shared {
     pub record_directory: Option<PathBuf>,
     pub recorder: Option<watch::Receiver<Progress>>,
     pub recorder_inbox: Option<SyncSender<Command>>,
-    pub past: tracks::SharedPast,
+    /// The last hour.
+    pub hour: hour::Hour,
     pub archive: Arc<Archive>,
     pub alerts: AlertsDesk,
     /// The site's id.
@@ -88,7 +91,6 @@ pub(super) struct Shared {
     pub stopped: watch::Receiver<bool>,
     pub people: Arc<People>,
     pub plan: Plan,
-    pub trails: SharedTrails,
 }
 
 /// What the handlers see of the alerts.
@@ -156,7 +158,7 @@ fn routes() -> Routes {
         .viewer(routes!(download::recording))
         .viewer(routes!(tracks::track))
         .viewer(routes!(tracks::events))
-        .viewer(routes!(tracks::history))
+        .viewer(routes!(hour::history))
         .viewer(routes!(export::export))
         .viewer(routes!(foxglove::foxglove))
         .viewer(routes!(aemp::fleet))

@@ -3,17 +3,17 @@
 use std::sync::Arc;
 
 use axum::Json;
-use axum::extract::rejection::{PathRejection, QueryRejection};
-use axum::extract::{Path, Query, State};
+use axum::extract::rejection::PathRejection;
+use axum::extract::{Path, State};
 use axum::http::StatusCode;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::IntoResponse;
 use serde::{Deserialize, Serialize};
 
 use super::Shared;
-use super::input::malformed;
+use super::input::{Parameters, malformed};
 use super::problem::Problem;
-use super::query::{bad, limit, time, understood};
+use super::query::{bad, limit, time};
 use crate::fleet::{CELL_M, FixState, OutageDetail, OutageView, ShadowMap, Statistics};
 use crate::site::history::{Archive, Area, Cursor, Filter};
 use crate::time::{Span, Stamp};
@@ -114,9 +114,8 @@ pub(super) struct MapQuery {
         (status = INTERNAL_SERVER_ERROR, body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn list(
     State(shared): State<Shared>,
-    query: Result<Query<OutagesQuery>, QueryRejection>,
+    Parameters(query): Parameters<OutagesQuery>,
 ) -> Result<Json<OutagesView>, Problem> {
-    let query = understood(query)?;
     let cursor = |text: String| Cursor::decode(&text).ok_or_else(|| bad("cursor is none of ours"));
     let min_duration_s = query.min_duration_s.unwrap_or(0.0);
     if !(0.0..=1e9).contains(&min_duration_s) {
@@ -143,7 +142,7 @@ pub(super) async fn list(
 
 /// One outage, with its sigma over time and the machine's track.
 #[utoipa::path(get, path = "/api/v1/outages/{id}", tag = "outages",
-    params(("id" = String, Path, description = "The outage's id", min_length = 1, max_length = 64)),
+    params(("id" = String, Path, description = "The outage's id", min_length = 1, max_length = 200)),
     responses((status = OK, body = OutageDetail),
         (status = BAD_REQUEST, body = Problem, content_type = "application/problem+json"),
         (status = NOT_FOUND, body = Problem, content_type = "application/problem+json"),
@@ -165,9 +164,8 @@ pub(super) async fn outage(
         (status = INTERNAL_SERVER_ERROR, body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn statistics(
     State(shared): State<Shared>,
-    query: Result<Query<SpanQuery>, QueryRejection>,
+    Parameters(query): Parameters<SpanQuery>,
 ) -> Result<Json<Statistics>, Problem> {
-    let query = understood(query)?;
     let now = shared.clock.now();
     let (from, to) = span(query.from.as_deref(), query.to.as_deref(), now)?;
     if to - from > STATISTICS_MAX {
@@ -194,9 +192,8 @@ pub(super) async fn statistics(
         (status = INTERNAL_SERVER_ERROR, body = Problem, content_type = "application/problem+json")))]
 pub(super) async fn shadow_map(
     State(shared): State<Shared>,
-    query: Result<Query<MapQuery>, QueryRejection>,
+    Parameters(query): Parameters<MapQuery>,
 ) -> Result<impl IntoResponse, Problem> {
-    let query = understood(query)?;
     let cell_m = query.cell_m.unwrap_or(CELL_DEFAULT_M);
     if !(CELL_M..=CELL_MAX_M).contains(&cell_m) || cell_m.fract() != 0.0 {
         let detail = format!("cell_m is {cell_m}, must be a whole number from {CELL_M} to {CELL_MAX_M}");

@@ -63,6 +63,9 @@ pub(super) struct PasswordChange {
     new: Password,
 }
 
+/// No account's name is longer.
+const NAME_MAX: usize = 64;
+
 /// Opens one WebSocket.
 #[derive(Serialize, utoipa::ToSchema)]
 pub(super) struct TicketView {
@@ -86,6 +89,12 @@ pub(super) async fn sign_in(
     body: Result<Bytes, BytesRejection>,
 ) -> Result<Response, Problem> {
     let SignIn { name, password } = json_needed(&headers, body)?;
+    if name.chars().count() > NAME_MAX {
+        return Err(Problem::new(
+            StatusCode::BAD_REQUEST,
+            format!("name has more than {NAME_MAX} characters"),
+        ));
+    }
     let people = &shared.people;
     let Some(user) = verify(people, &visitor, &name, password).await? else {
         // A name that is none may be a password in the wrong field.
@@ -211,7 +220,11 @@ pub(super) async fn hash<T: Send + 'static>(
     people: &Arc<People>,
     question: impl FnOnce(&People) -> Result<T, AccountsError> + Send + 'static,
 ) -> Result<T, Problem> {
-    // Never closed.
-    let _permit = people.hashing.acquire().await;
-    ask(people, question).await
+    // Never closed. It goes with the work, which goes on when its client does not wait for it.
+    let permit = Arc::clone(&people.hashing).acquire_owned().await;
+    ask(people, move |people| {
+        let _permit = permit;
+        question(people)
+    })
+    .await
 }

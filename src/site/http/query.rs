@@ -1,7 +1,5 @@
 //! What addresses ask for after the `?`: times, and how much at once.
 
-use axum::extract::Query;
-use axum::extract::rejection::QueryRejection;
 use axum::http::StatusCode;
 
 use super::problem::Problem;
@@ -13,11 +11,6 @@ const LIMIT_MAX: usize = 1000;
 
 pub(super) fn bad(detail: impl Into<String>) -> Problem {
     Problem::new(StatusCode::BAD_REQUEST, detail)
-}
-
-/// What was asked, or why it cannot be understood.
-pub(super) fn understood<T>(query: Result<Query<T>, QueryRejection>) -> Result<T, Problem> {
-    query.map(|Query(query)| query).map_err(|rejection| bad(rejection.body_text()))
 }
 
 /// A time in RFC 3339, with any offset.

@@ -1,27 +1,23 @@
 //! What machines did: in a session, for replay; in the last hour, for plots.
 
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
 
-use axum::Json;
-use axum::extract::rejection::{PathRejection, QueryRejection};
-use axum::extract::{Path, Query, State};
-use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE, ETAG, IF_NONE_MATCH};
+use axum::extract::rejection::PathRejection;
+use axum::extract::{Path, State};
+use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE, ETAG};
 use axum::http::{HeaderMap, HeaderValue, StatusCode};
 use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
-use tokio::sync::watch;
 
 use super::Shared;
-use super::input::malformed;
+use super::input::{Parameters, is_known, malformed};
 use super::problem::Problem;
-use super::query::{bad, time, understood};
+use super::query::{bad, time};
 use super::sessions::ask;
-use crate::fleet::{Past, PoseView, StatePoint, UtcTime};
+use crate::fleet::{PoseView, StatePoint, UtcTime};
 use crate::record::RecordError;
-use crate::site::aggregator::Frame;
-use crate::site::ended;
 use crate::site::sessions::{EVENTS_MAX, Events, POSES_MAX, STEP_LEAST, Track, Tracks, Wanted};
 use crate::site::sessions::{events as read_events, tracks as read_tracks};
 use crate::state::Event;
@@ -30,29 +26,6 @@ use crate::time::{Span, Stamp};
 /// Recordings that are read for replay at once: each takes a core.
 static READING: tokio::sync::Semaphore = tokio::sync::Semaphore::const_new(2);
 const STEP_MOST_S: f64 = 3_600.0;
-
-/// What all machines said of themselves in the last hour; written by [`follow`] alone.
-pub(in crate::site) type SharedPast = Arc<Mutex<Past>>;
-
-/// Writes down what machines say of themselves, until `stopped` says so.
-pub(in crate::site) async fn follow(
-    past: SharedPast,
-    mut frames: watch::Receiver<Arc<Frame>>,
-    mut stopped: watch::Receiver<bool>,
-) {
-    loop {
-        tokio::select! {
-            () = ended(&mut stopped) => return,
-            changed = frames.changed() => {
-                if changed.is_err() {
-                    return;
-                }
-                let frame = Arc::clone(&frames.borrow_and_update());
-                past.lock().unwrap_or_else(PoisonError::into_inner).observe(&frame.view);
-            }
-        }
-    }
-}
 
 /// Which part of a session.
 #[derive(Debug, Deserialize, utoipa::IntoParams)]
@@ -168,31 +141,6 @@ pub(super) struct EventsAnswer {
     left_out: u64,
 }
 
-/// Which part of the last hour.
-#[derive(Debug, Deserialize, utoipa::IntoParams)]
-#[serde(deny_unknown_fields)]
-#[into_params(parameter_in = Query)]
-pub(super) struct HistoryQuery {
-    /// Only what arrived after that, RFC 3339.
-    #[param(format = DateTime)]
-    since: Option<String>,
-}
-
-/// What a machine said of itself.
-#[derive(Debug, Serialize, utoipa::ToSchema)]
-pub(super) struct HistoryView {
-    /// The machine's id.
-    machine: String,
-    /// Times count from here, by the site's clock; `null` if there is nothing.
-    #[schema(value_type = Option<String>, format = DateTime)]
-    start: Option<UtcTime>,
-    /// When the last of them arrived: `since` for those that follow.
-    #[schema(value_type = Option<String>, format = DateTime)]
-    last: Option<UtcTime>,
-    /// Oldest first, one a second.
-    states: Vec<StatePoint>,
-}
-
 /// Where the machines of a session were and how they did, thinned to 24 000 poses at most: for replay.
 #[utoipa::path(get, path = "/api/v1/sessions/{id}/track", operation_id = "session_track", tag = "sessions",
     params(("id" = String, Path, description = "The session's id"), TrackQuery,
@@ -205,7 +153,7 @@ pub(super) struct HistoryView {
 pub(super) async fn track(
     State(shared): State<Shared>,
     id: Result<Path<String>, PathRejection>,
-    query: Result<Query<TrackQuery>, QueryRejection>,
+    Parameters(query): Parameters<TrackQuery>,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
     let Path(id) = id.map_err(malformed)?;
@@ -230,7 +178,7 @@ pub(super) async fn track(
 pub(super) async fn events(
     State(shared): State<Shared>,
     id: Result<Path<String>, PathRejection>,
-    query: Result<Query<TrackQuery>, QueryRejection>,
+    Parameters(query): Parameters<TrackQuery>,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
     let Path(id) = id.map_err(malformed)?;
@@ -240,29 +188,6 @@ pub(super) async fn events(
         Ok(events.map(|events| json(&EventsAnswer::of(id, events))))
     })
     .await
-}
-
-/// What a machine said of itself in the last hour, once a second.
-#[utoipa::path(get, path = "/api/v1/machines/{id}/history", operation_id = "machine_history", tag = "fleet",
-    params(("id" = String, Path, description = "The machine's id"), HistoryQuery),
-    responses((status = OK, body = HistoryView),
-        (status = BAD_REQUEST, body = Problem, content_type = "application/problem+json"),
-        (status = NOT_FOUND, body = Problem, content_type = "application/problem+json")))]
-pub(super) async fn history(
-    State(shared): State<Shared>,
-    id: Result<Path<String>, PathRejection>,
-    query: Result<Query<HistoryQuery>, QueryRejection>,
-) -> Result<Json<HistoryView>, Problem> {
-    let Path(id) = id.map_err(malformed)?;
-    let since = time("since", understood(query)?.since.as_deref())?;
-    if shared.frame().machine(&id).is_none() {
-        return Err(Problem::not_found("machine", &id));
-    }
-    let points = shared.past.lock().unwrap_or_else(PoisonError::into_inner).points(&id, since);
-    let start = points.first().map(|(at, _)| *at);
-    let last = points.last().map(|(at, _)| UtcTime(*at));
-    let states = points.into_iter().map(|(at, point)| timed(at, point, start.unwrap_or(at))).collect();
-    Ok(Json(HistoryView { machine: id, start: start.map(UtcTime), last, states }))
 }
 
 /// Reads a session's files on a thread of its own; a finished session is the same for ever.
@@ -285,10 +210,10 @@ async fn answer(
     });
     let (files, finished, bytes) = located.await?.ok_or_else(|| Problem::not_found("session", &id))?;
     let tag = finished.then(|| format!("\"{}-{id}-{bytes}\"", env!("CARGO_PKG_VERSION")));
-    let known = headers.get(IF_NONE_MATCH).and_then(|value| value.to_str().ok());
-    let is_known = |tag: &str| known.is_some_and(|known| known.split(',').any(|known| known.trim() == tag));
-    if tag.as_deref().is_some_and(is_known) {
-        return Ok(StatusCode::NOT_MODIFIED.into_response());
+    if let Some(tag) = tag.as_deref().filter(|tag| is_known(headers, tag)) {
+        let mut response = StatusCode::NOT_MODIFIED.into_response();
+        response.headers_mut().extend(HeaderValue::from_str(tag).ok().map(|tag| (ETAG, tag)));
+        return Ok(response);
     }
     // The guard drops when the client goes away: nobody waits for the rest.
     let given_up = Arc::new(AtomicBool::new(false));
@@ -328,8 +253,8 @@ fn json(value: &impl Serialize) -> Vec<u8> {
     serde_json::to_vec(value).expect("numbers, texts and lists have a form in JSON")
 }
 
-fn wanted(query: Result<Query<TrackQuery>, QueryRejection>) -> Result<Wanted, Problem> {
-    let TrackQuery { machine, from, to, step_s } = understood(query)?;
+fn wanted(query: TrackQuery) -> Result<Wanted, Problem> {
+    let TrackQuery { machine, from, to, step_s } = query;
     let least = STEP_LEAST.as_seconds();
     if let Some(step_s) = step_s.filter(|step_s| !(least..=STEP_MOST_S).contains(step_s)) {
         return Err(bad(format!("step_s is {step_s}, must be from {least} to {STEP_MOST_S}")));
@@ -350,7 +275,8 @@ fn metres(values: [f64; 3]) -> [f64; 3] {
     values.map(|value| rounded(value, 4))
 }
 
-fn timed(at: Stamp, point: StatePoint, start: Stamp) -> StatePoint {
+/// With its time, s, counted from `start`.
+pub(super) fn timed(at: Stamp, point: StatePoint, start: Stamp) -> StatePoint {
     StatePoint { time_s: rounded(at.seconds_since(start), 3), ..point }
 }
 

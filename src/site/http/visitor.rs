@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::net::IpAddr;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 use axum::extract::FromRequestParts;
 use axum::http::header::{AUTHORIZATION, COOKIE as COOKIES, UPGRADE};
@@ -19,6 +20,10 @@ use crate::time::{Span, Stamp};
 
 /// A ticket is good for so long.
 pub(super) const TICKET_LIFE: Span = Span::from_millis(30_000);
+/// What a ticket opens, and nothing else: they are WebSockets, and ask for no more than a viewer.
+const SOCKETS: [&str; 2] = ["/api/v1/live", "/foxglove"];
+/// Who holds a WebSocket open is looked at so often.
+const STILL_EVERY: Duration = Duration::from_secs(2);
 /// More tickets at once are refused.
 const TICKETS_MAX: usize = 1000;
 /// Passwords that are hashed at once: each takes a core and 19 MiB.
@@ -82,7 +87,7 @@ pub(in crate::site) struct People {
     pub accounts: Accounts,
     pub http: config::Http,
     pub limits: SignInLimits,
-    pub hashing: Semaphore,
+    pub hashing: Arc<Semaphore>,
     clock: SiteClock,
     /// By their hash: whose they are, with the role, and until when they are good.
     tickets: Mutex<BTreeMap<[u8; 32], Ticket>>,
@@ -100,7 +105,7 @@ impl People {
         let buckets = |(size, per_s)| Mutex::new(Buckets::new(per_s, size));
         Self {
             limits,
-            hashing: Semaphore::new(HASHING_MAX),
+            hashing: Arc::new(Semaphore::new(HASHING_MAX)),
             clock,
             tickets: Mutex::default(),
             requests: buckets((BURST_S * http.requests_per_s, http.requests_per_s)),
@@ -182,7 +187,8 @@ impl People {
             let role = known.role;
             return Ok(Some((Some(known), role, Shown::Token)));
         }
-        if headers.contains_key(UPGRADE)
+        if SOCKETS.contains(&uri.path())
+            && headers.contains_key(UPGRADE)
             && let Some(ticket) = parameter(uri, "ticket")
         {
             let taken = lock(&self.tickets).remove(&Secret::of(ticket).hash());
@@ -203,6 +209,17 @@ impl People {
         self.saw(secret, is_due);
         let role = known.role;
         Ok(Some((Some(known), role, Shown::Cookie)))
+    }
+
+    /// Ends when a visitor who was let in would not be let in any more.
+    pub async fn gone(&self, visitor: &Visitor) {
+        let mut asking = tokio::time::interval(STILL_EVERY);
+        loop {
+            asking.tick().await;
+            if !self.still(visitor) {
+                return;
+            }
+        }
     }
 
     /// Whether a visitor who was let in would be let in now.
