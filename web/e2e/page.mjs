@@ -32,8 +32,9 @@ export class Watched {
     page.on("pageerror", (error) => this.complaints.push(error.message));
     page.on("requestfailed", (request) => {
       const reason = request.failure()?.errorText;
-      // The page gives its own probe of the link two seconds, and then lets it go: that is no fault.
-      const letGo = reason === "net::ERR_ABORTED" && new URL(request.url()).pathname === "/healthz";
+      // Chromium says "aborted" only of what the page itself let go: its probe of the link after two seconds, and
+      // what was on its way when a view was left. What a server breaks off has other names.
+      const letGo = reason === "net::ERR_ABORTED";
       if (!letGo) this.complaints.push(`${request.url()}: ${reason}`);
     });
   }

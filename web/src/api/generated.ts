@@ -4257,6 +4257,8 @@ export interface operations {
                 session?: string;
                 /** @description Of the session, seconds in a second; by default 1 */
                 speed?: number;
+                /** @description From `POST /api/v1/live-ticket`, for those who can send neither cookie nor token */
+                ticket?: string;
             };
             header?: never;
             path?: never;
