@@ -1,6 +1,6 @@
 /** Puts the page together: the live connection feeds the store, the store feeds the components. */
 
-import { computed, effect } from "@preact/signals";
+import { computed, effect, signal } from "@preact/signals";
 import { render } from "preact";
 
 import { fetchMe } from "./api/accounts";
@@ -9,7 +9,7 @@ import { browserSurroundings, Live } from "./api/live";
 import { App } from "./app";
 import { closeMenus } from "./components/menus";
 import { Format } from "./format";
-import { followBrowser, go, paths, route } from "./route";
+import { followBrowser, go, note, paths, route } from "./route";
 import { takeAlerts } from "./store/alerts";
 import { DeskContext, keptChoices } from "./store/context";
 import { me, setMe } from "./store/people";
@@ -50,13 +50,20 @@ const live = new Live(
   browserSurroundings(),
 );
 
-const wished = new URLSearchParams(window.location.search).get("lang");
-const text = chooseText([...(wished === null ? [] : [wished]), ...navigator.languages]);
-document.documentElement.lang = text.language;
-
 const choices = keptChoices(window.localStorage);
+// An address that names a language is a choice, for this visit alone.
+const named = signal(new URLSearchParams(window.location.search).get("lang") ?? "");
+const text = computed(() => chooseText([named.value, choices.language.value, ...navigator.languages]));
+const choose = (language: string) => {
+  choices.language.value = language;
+  named.value = "";
+  note("lang", null);
+};
+effect(() => {
+  document.documentElement.lang = text.value.language;
+});
 const zone = computed(() => (choices.utc.value ? "UTC" : store.calm.value.site?.time_zone));
-const format = computed(() => new Format(text.language, zone.value));
+const format = computed(() => new Format(text.value.language, zone.value));
 
 let speaking = false;
 
@@ -91,7 +98,7 @@ effect(() => {
 const page = document.getElementById("page");
 if (page === null) throw new Error("index.html has no place for the page");
 render(
-  <SpeechContext.Provider value={{ text, format }}>
+  <SpeechContext.Provider value={{ text, format, choose }}>
     <DeskContext.Provider value={{ store, choices }}>
       <App />
     </DeskContext.Provider>

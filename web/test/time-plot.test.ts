@@ -16,7 +16,10 @@ it("a plot that stands follows the span that is chosen later", () => {
     syncKey: "states",
   };
   const latest = { current: props };
-  const { scales } = options({ clientWidth: 400 } as HTMLElement, latest, new Format("en"), () => {});
+  const { scales } = options({ clientWidth: 400 } as HTMLElement, latest, new Format("en"), {
+    cursor: () => {},
+    drawn: () => {},
+  });
   const ranging = scales?.x?.range;
   if (typeof ranging !== "function") throw new Error("the range is fixed when the plot opens");
   const range = () => (ranging as () => [number, number])();

@@ -9,6 +9,7 @@ import type { components } from "./generated";
 import type { OutageDetail, OutagesView, Statistics } from "./outages";
 import type { ShadowCell } from "./shadow-map";
 import type {
+  ConfigurationView,
   EventsAnswer,
   FleetView,
   HistoryView,
@@ -38,6 +39,7 @@ export type Agreement = [
   Holds<Same<TrackAnswer, Schemas["TrackAnswer"]>>,
   Holds<Same<EventsAnswer, Schemas["EventsAnswer"]>>,
   Holds<Same<HistoryView, Schemas["HistoryView"]>>,
+  Holds<Same<ConfigurationView, Schemas["ConfigurationView"]>>,
   Holds<Same<OutagesView, Schemas["OutagesView"]>>,
   Holds<Same<OutageDetail, Schemas["OutageDetail"]>>,
   Holds<Same<Statistics, Schemas["Statistics"]>>,

@@ -22,6 +22,7 @@ import {
 import {
   type AlertsMessage,
   type Budget,
+  type ConfigurationView,
   type CurrentOutage,
   type Delta,
   type Ellipse95,
@@ -254,6 +255,13 @@ const statePoint = object<StatePoint>({
   prediction_p99_us: nullable(number),
   clock_offset_s: nullable(number),
   pose_rate_hz: nullable(number),
+});
+
+export const checkConfiguration = object<ConfigurationView>({
+  machine: text,
+  boot: text,
+  software: text,
+  machine_file: text,
 });
 
 export const checkHistory = object<HistoryView>({

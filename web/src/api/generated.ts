@@ -197,6 +197,23 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/machines/{id}/configuration": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** What runs on a machine, and how it is configured: the machine itself is asked. */
+        get: operations["machine_configuration"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/machines/{id}/history": {
         parameters: {
             query?: never;
@@ -818,6 +835,17 @@ export interface components {
             delivered: boolean;
             /** @description What it said, or why it was not told. */
             said: string;
+        };
+        /** @description What runs on a machine, and how it is configured. */
+        ConfigurationView: {
+            /** @description The start of the machine's software that answered. */
+            boot: string;
+            /** @description As in keys. */
+            machine: string;
+            /** @description The machine file, TOML, with all defaults. */
+            machine_file: string;
+            /** @description Version of its software. */
+            software: string;
         };
         /** @description The outage that goes on, with what is left. */
         CurrentOutage: {
@@ -2864,6 +2892,49 @@ export interface operations {
             429: components["responses"]["TooMany"];
             500: components["responses"]["Failed"];
             503: components["responses"]["Unavailable"];
+        };
+    };
+    machine_configuration: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The machine's id */
+                id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ConfigurationView"];
+                };
+            };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
         };
     };
     machine_history: {

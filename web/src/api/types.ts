@@ -288,6 +288,15 @@ export interface StatePoint {
   pose_rate_hz: number | null;
 }
 
+/** What runs on a machine, and how it is configured. */
+export interface ConfigurationView {
+  machine: string;
+  boot: string;
+  software: string;
+  /** TOML, with all defaults. */
+  machine_file: string;
+}
+
 export interface HistoryView {
   machine: string;
   start: string | null;

@@ -3,6 +3,7 @@
 import type { MachineEvent, SessionEvent } from "../api/types";
 import type { Format } from "../format";
 import type { Text } from "../text";
+import { inWords } from "../text/told";
 
 /** Whether one would jump to it: refused readings and changes within the estimator are for its makers. */
 export function isMark({ event }: SessionEvent): boolean {
@@ -25,7 +26,7 @@ export function eventWords(event: MachineEvent, text: Text, format: Format): str
     case "graph_changed":
       return words.graph(event.from, event.to, event.reason);
     case "initialized":
-      return words.initialized(event.heading_from);
+      return words.initialized(inWords(event.heading_from, text.told, format));
     case "refused":
       return words.refused(format.count(event.count), text.sensor[event.sensor], event.reason);
     case "outage_began":
@@ -39,6 +40,6 @@ export function eventWords(event: MachineEvent, text: Text, format: Format): str
       );
     }
     case "restarted":
-      return words.restarted(event.reason);
+      return words.restarted(inWords(event.reason, text.told, format));
   }
 }

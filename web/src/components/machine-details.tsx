@@ -95,7 +95,7 @@ function PoseNumbers({ pose, age }: { pose: PoseView; age: { age_s: number | nul
   return (
     <>
       <Field name={text.fields.position} {...age}>
-        {pose.position_m.map((metres) => format.number(metres, 3)).join(", ")} m
+        {pose.position_m.map((metres) => format.number(metres, 3)).join(" / ")} m
       </Field>
       <Field name={text.fields.geodetic} {...age}>
         {format.degrees(pose.latitude_deg, 7)}, {format.degrees(pose.longitude_deg, 7)}

@@ -47,10 +47,20 @@ export function TimePlot(props: TimePlotProps) {
   const place = useRef<HTMLDivElement>(null);
   const mark = useRef<HTMLElement>(null);
   const plot = useRef<uPlot | null>(null);
+  const moment = useRef<number | null>(null);
   const cursor = useSignal<number | null>(null);
   const latest = useRef(props);
   latest.current = props;
   const shape = lines.map(({ label, colour }) => `${label} ${colour}`).join();
+
+  const placeMark = (drawn: uPlot) => {
+    if (mark.current === null) return;
+    const [from, to] = latest.current.span;
+    const time_s = moment.current;
+    const seen = time_s !== null && time_s >= from && time_s <= to;
+    mark.current.hidden = !seen;
+    if (seen) mark.current.style.transform = `translateX(${PLOT_LEFT_PX + drawn.valToPos(time_s, "x")}px)`;
+  };
 
   useEffect(() => {
     const container = place.current;
@@ -58,8 +68,12 @@ export function TimePlot(props: TimePlotProps) {
     const open = () => {
       plot.current?.destroy();
       plot.current = new uPlot(
-        options(container, latest, format, (index) => {
-          cursor.value = index;
+        options(container, latest, format, {
+          cursor: (index) => {
+            cursor.value = index;
+          },
+          // Before it is drawn a plot does not know where a moment is.
+          drawn: placeMark,
         }),
         dataOf(latest.current),
         container,
@@ -90,12 +104,8 @@ export function TimePlot(props: TimePlotProps) {
   useEffect(() => {
     if (now === undefined) return;
     return now.subscribe((time_s) => {
-      const drawn = plot.current;
-      if (drawn === null || mark.current === null) return;
-      const [from, to] = latest.current.span;
-      const seen = time_s !== null && time_s >= from && time_s <= to;
-      mark.current.hidden = !seen;
-      if (seen) mark.current.style.transform = `translateX(${PLOT_LEFT_PX + drawn.valToPos(time_s, "x")}px)`;
+      moment.current = time_s;
+      if (plot.current !== null) placeMark(plot.current);
     });
   }, [now, span[0], span[1]]);
 
@@ -127,7 +137,7 @@ export function options(
   container: HTMLElement,
   latest: { readonly current: TimePlotProps },
   format: Format,
-  onCursor: (index: number | null) => void,
+  on: { cursor(index: number | null): void; drawn(plot: uPlot): void },
 ): uPlot.Options {
   const { lines, limit = null, syncKey, height = HEIGHT_PX } = latest.current;
   const style = getComputedStyle(container);
@@ -187,8 +197,9 @@ export function options(
       })),
     ],
     hooks: {
-      setCursor: [(drawn) => onCursor(drawn.cursor.idx ?? null)],
+      setCursor: [(drawn) => on.cursor(drawn.cursor.idx ?? null)],
       draw: [
+        on.drawn,
         (drawn) => {
           if (limit === null) return;
           const { ctx, bbox } = drawn;

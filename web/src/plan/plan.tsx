@@ -71,7 +71,7 @@ export function Plan({ features = [], shadow = [], extra, children, onReady }: P
       painter.value = null;
       view.value = null;
     };
-  }, [store]);
+  }, [store, text]);
 
   useEffect(() => palette.subscribe((colours) => painter.peek()?.setPalette(colours)), [palette, painter]);
   useEffect(() => {
@@ -79,6 +79,15 @@ export function Plan({ features = [], shadow = [], extra, children, onReady }: P
     view.value?.setUnderlays([...shadowUnderlays(shadow, palette.value), ...underlays], words);
   }, [features, shadow, palette.value, view.value]);
   useEffect(() => view.value?.setMeasuring(measure.value !== null), [measure.value, view.value]);
+
+  useEffect(() => {
+    if (measure.value === null) return;
+    const end = (event: KeyboardEvent) => {
+      if (event.key === "Escape") measure.value = null;
+    };
+    document.addEventListener("keydown", end);
+    return () => document.removeEventListener("keydown", end);
+  }, [measure.value === null]);
 
   const selected = choices.selected.value;
   const machine = selected === null ? undefined : store.calm.value.machines.get(selected);

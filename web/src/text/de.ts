@@ -4,6 +4,7 @@ import type { Text } from "./en";
 
 export const de: Text = {
   language: "de",
+  languageName: "Deutsch",
   page: {
     product: "holdfast",
     siteTime: "Baustellenzeit",
@@ -170,7 +171,8 @@ export const de: Text = {
     zoomIn: "Vergrößern",
     zoomOut: "Verkleinern",
     measure: "Messen",
-    measureHint: "In den Plan drücken: jeder Druck fügt eine Ecke an. Messen noch einmal beendet.",
+    measureHint:
+      "In den Plan drücken: jeder Druck fügt eine Ecke an. Escape oder nochmals Messen beendet es.",
     measured: (length, bearing) => `${length} insgesamt; letzter Abschnitt Richtung ${bearing}`,
     east: "O",
     north: "N",
@@ -207,6 +209,10 @@ export const de: Text = {
     software: "Software",
     inflation: "GNSS-Sigmas genommen mal (horizontal / vertikal)",
     updates: "Aktualisierungen seit ihrem Start",
+    configuration: "Konfiguration",
+    configurationHint: "Ihre Maschinendatei mit allen Vorgaben, wie sie jetzt läuft.",
+    configurationAsked: "Die Maschine wird gefragt …",
+    configurationFailed: (reason) => `Sie ist nicht bekannt: ${reason}`,
     page: "Kurven und Verlauf",
   },
   budget: {
@@ -349,6 +355,7 @@ export const de: Text = {
     menu: "Einstellungen und Konto",
     options: "Einstellungen",
     wgs84: "Breite und Länge statt Baustellenmetern",
+    language: "Sprache",
     utc: "Zeiten in UTC",
     sound: "Ton bei neuen Meldungen",
     signedIn: (name, role) => `Angemeldet als ${name} (${role})`,
@@ -420,5 +427,27 @@ export const de: Text = {
       recovered: "gerettet",
       truncated: "abgeschnitten",
     },
+  },
+  told: {
+    "the cabin IMU": "die IMU im Oberwagen",
+    "the left GNSS antenna: no fixes arrive": "die linke GNSS-Antenne: von ihr kommt nichts",
+    "RTK: the left antenna reports {:.2} m, {:.2} m is the limit":
+      "RTK: die linke Antenne meldet {} m, {} m ist die Grenze",
+    "a standstill of a few seconds, or some metres of driving":
+      "einige Sekunden Stillstand oder einige Meter Fahrt",
+    "the right GNSS antenna for the heading, or some metres of driving":
+      "die rechte GNSS-Antenne für die Richtung oder einige Meter Fahrt",
+    "the heading: drive some metres": "die Richtung: einige Meter fahren",
+    "two antennas at rest": "zwei Antennen im Stand",
+    "two antennas in motion": "zwei Antennen in Fahrt",
+    motion: "der Fahrt",
+    "lidar odometry through the silence": "der Lidar-Odometrie durch die Stille",
+    "the chassis through the silence": "dem Unterwagen durch die Stille",
+    "the clock of the cabin IMU has changed: {reason}": "die Uhr der IMU im Oberwagen hat sich geändert: {}",
+    "the cabin IMU was silent for {gap_s:.2} s": "die IMU im Oberwagen war {} s stumm",
+    "the estimate was no longer determined by its measurements":
+      "die Messungen bestimmten die Schätzung nicht mehr",
+    "the estimate was no longer finite": "die Schätzung war nicht mehr endlich",
+    "the start failed: it {error}": "der Start ist gescheitert: {}",
   },
 };

@@ -1,7 +1,11 @@
 /** Every English word of the page. Other languages have the same keys; words chosen by the site are not here. */
 
+import type { Sentences } from "./told";
+
 export const en = {
   language: "en",
+  /** In the language itself. */
+  languageName: "English",
   page: {
     product: "holdfast",
     siteTime: "Site time",
@@ -167,7 +171,7 @@ export const en = {
     zoomIn: "Zoom in",
     zoomOut: "Zoom out",
     measure: "Measure",
-    measureHint: "Press the plan: each press adds a corner. Press Measure again to end.",
+    measureHint: "Press the plan: each press adds a corner. Escape or Measure again ends it.",
     measured: (length: string, bearing: string) => `${length} in all; last leg towards ${bearing}`,
     east: "E",
     north: "N",
@@ -204,6 +208,10 @@ export const en = {
     software: "Software",
     inflation: "GNSS sigmas taken times (horizontal / vertical)",
     updates: "Updates since its start",
+    configuration: "Configuration",
+    configurationHint: "Its machine file with all defaults, as it runs now.",
+    configurationAsked: "The machine is asked …",
+    configurationFailed: (reason: string) => `It is not known: ${reason}`,
     page: "Plots and history",
   },
   budget: {
@@ -348,6 +356,7 @@ export const en = {
     options: "Options",
     wgs84: "Latitude and longitude instead of site metres",
     utc: "Times in UTC",
+    language: "Language",
     sound: "Sound for new alerts",
     signedIn: (name: string, role: string) => `Signed in as ${name} (${role})`,
     roles: { viewer: "viewer", operator: "operator", admin: "admin" },
@@ -414,6 +423,8 @@ export const en = {
     },
     states: { recording: "recording", complete: "complete", recovered: "recovered", truncated: "cut short" },
   },
+  /** What machines say themselves is English already. */
+  told: {} as Sentences,
 };
 
 export type Text = typeof en;

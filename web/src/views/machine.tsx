@@ -2,7 +2,7 @@
 
 import { useSignal } from "@preact/signals";
 import { useEffect } from "preact/hooks";
-import { fetchHistory } from "../api/machines";
+import { fetchConfiguration, fetchHistory } from "../api/machines";
 import { fetchOutages } from "../api/outages";
 import type { StatePoint } from "../api/types";
 import type { ViewProps } from "../app";
@@ -132,10 +132,51 @@ export default function MachineView({ route }: ViewProps) {
                 </>
               )}
             </dl>
+            {/* Another start of its program may have another one. */}
+            <Configuration key={view.boot} id={id} />
           </section>
         </div>
       </div>
     </div>
+  );
+}
+
+/** The machine file, asked of the machine when somebody wants to see it. */
+function Configuration({ id }: { id: string }) {
+  const { text } = useSpeech();
+  const wanted = useSignal(false);
+  return (
+    <details
+      class="configuration"
+      onToggle={(event) => {
+        wanted.value = event.currentTarget.open;
+      }}
+    >
+      <summary>{text.machine.configuration}</summary>
+      {wanted.value && <MachineFile id={id} />}
+    </details>
+  );
+}
+
+function MachineFile({ id }: { id: string }) {
+  const { text } = useSpeech();
+  const asked = useAsked(id, (signal) => fetchConfiguration(id, signal));
+  if (asked.failure !== null) {
+    return <p class="failure">{text.machine.configurationFailed(asked.failure)}</p>;
+  }
+  if (asked.value === null) {
+    return (
+      <p class="empty" role="status">
+        {text.machine.configurationAsked}
+      </p>
+    );
+  }
+  return (
+    <>
+      <p class="empty">{text.machine.configurationHint}</p>
+      {/* biome-ignore lint/a11y/noNoninteractiveTabindex: what scrolls has to be reached by the keyboard. */}
+      <pre tabIndex={0}>{asked.value.machine_file}</pre>
+    </>
   );
 }
 
