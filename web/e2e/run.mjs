@@ -136,6 +136,13 @@ async function live(origin) {
       HOLDING_WITHIN_MS,
     );
   });
+  await checks.check("the alert of it says how long until now, not until it was raised", async () => {
+    await page
+      .locator("[data-alert-bar]", {
+        hasText: /: (GNSS \w+ silent|without good GNSS) for 0:[1-5]\d\s*since /,
+      })
+      .waitFor({ timeout: 5_000 });
+  });
   await watched.screenshot(options.screenshots, "live");
   if (options.screenshots !== undefined) await otherLooks(watched);
 
@@ -179,6 +186,19 @@ async function live(origin) {
 
   await checks.check("axe has no serious findings, light", () => noFindings(watched));
   await views({ checks, watched, origin, ids, screenshots: options.screenshots, nothing, noFindings });
+
+  await checks.check("the language is chosen on the page, and kept", async () => {
+    await page.locator("header .menu summary").click();
+    await page.getByLabel("Language").selectOption("de");
+    await page.getByRole("heading", { level: 2, name: "Maschinen" }).waitFor({ timeout: 5_000 });
+    await page.reload();
+    await page.getByRole("heading", { level: 2, name: "Maschinen" }).waitFor({ timeout: 10_000 });
+    if ((await page.evaluate(() => document.documentElement.lang)) !== "de") return false;
+    await page.locator("header .menu summary").click();
+    await page.getByLabel("Sprache").selectOption("en");
+    await page.getByRole("heading", { level: 2, name: "Machines" }).waitFor({ timeout: 5_000 });
+    await page.keyboard.press("Escape");
+  });
 
   const dark = await Watched.open(browser, origin, { colorScheme: "dark", path: "/?lang=de" });
   await dark.card(ids[0]).locator(".card-head").click();

@@ -43,6 +43,12 @@ export async function views({ checks, watched, origin, ids, screenshots, nothing
       if (!wanted.test(text)) throw new Error(`${wanted} is not in: ${text.slice(0, 600)}`);
     }
   });
+  await checks.check("its configuration is asked of the machine itself", async () => {
+    await page.locator(".configuration summary").click();
+    const file = await page.locator(".configuration pre").innerText({ timeout: 10_000 });
+    if (!file.includes(`id = "${ids[0]}"`) || !/^\[gate\]$/m.test(file)) throw new Error(file.slice(0, 400));
+    await page.locator(".configuration summary").click();
+  });
   await checks.check("its plots share one cursor", async () => {
     await page.locator(".plot .u-over").first().hover();
     const values = page.locator(".plot figcaption .series", { hasText: /\d/ });
@@ -117,6 +123,18 @@ export async function views({ checks, watched, origin, ids, screenshots, nothing
     const shown_s = Number(await page.locator(".scrubber").inputValue());
     if (began_s < 5) throw new Error(`the outage began ${began_s} s into the recording: nothing can be told`);
     if (Math.abs(shown_s - began_s) > 0.2) throw new Error(`it began at ${began_s} s, shown is ${shown_s} s`);
+  });
+
+  await checks.check("plots that stand still mark the moment, too", async () => {
+    await page.locator(".replay-plots .plot canvas").nth(3).waitFor({ timeout: 10_000 });
+    await page.waitForTimeout(SETTLE_MS);
+    const { share, marked } = await page.evaluate(() => {
+      const scrubber = document.querySelector(".scrubber");
+      const over = document.querySelector(".replay-plots .u-over").getBoundingClientRect();
+      const mark = document.querySelector(".replay-plots .plot-now").getBoundingClientRect();
+      return { share: scrubber.value / scrubber.max, marked: (mark.left - over.left) / over.width };
+    });
+    if (share < 0.05 || Math.abs(share - marked) > 0.02) throw new Error(`${marked} instead of ${share}`);
   });
 
   await checks.check("the recording is in the list, with its machines, to replay", async () => {
