@@ -100,7 +100,10 @@ export async function accounts({ checks, browser, origin, binary, data, screensh
       await users.waitFor({ timeout: 10_000 });
       await page.getByLabel(`Role of ${SECOND.name}`).selectOption("viewer");
       await users.waitFor({ state: "detached", timeout: 10_000 });
-      await page.getByText(`Signed in as ${SECOND.name} (viewer)`).first().waitFor({ timeout: 5_000 });
+      await page
+        .locator("main")
+        .getByText(`Signed in as ${SECOND.name} (viewer)`)
+        .waitFor({ timeout: 5_000 });
       await signOut();
     },
   );

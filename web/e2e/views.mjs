@@ -63,8 +63,9 @@ export async function views({ checks, watched, origin, ids, screenshots, nothing
     await watched.until(
       () => {
         const plot = document.querySelector(".plot .u-over");
+        // Where the nearest point has no value it is not shown, but put in its place.
         const point = plot.querySelector(".u-cursor-pt");
-        const left = point.getBoundingClientRect().left - plot.getBoundingClientRect().left;
+        const left = Number(/translate\(([-\d.]+)px/.exec(point?.style.transform)?.[1]);
         return left > 0.75 * plot.clientWidth && left <= plot.clientWidth;
       },
       undefined,
