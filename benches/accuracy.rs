@@ -32,6 +32,7 @@ fn report(title: &str, runs: &[Trial]) {
     line("position RMSE in the outage", over(&|run| 100.0 * run.outage.rmse_m()), "cm");
     line("largest error in the outage", over(&|run| 100.0 * run.outage.largest_m), "cm");
     line("yardstick: lidar, true heading and standstill, RMSE", over(&|run| 100.0 * run.yardstick_m), "cm");
+    line("the same with the estimate's heading", over(&|run| 100.0 * run.yardstick_own_heading_m), "cm");
     line("drift while the chassis stands in the outage", over(&|run| 100.0 * run.standing_drift_m), "cm");
     line("the same from 2 s after it stopped on", over(&|run| 100.0 * run.settled_drift_m), "cm");
     let rests: Vec<[f64; 2]> = runs.iter().flat_map(|run| run.rests_m.iter().copied()).collect();

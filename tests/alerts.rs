@@ -3,6 +3,7 @@
 #![allow(clippy::disallowed_methods, reason = "tests play machines and people, who have clocks")]
 
 #[path = "support/receivers.rs"]
+#[allow(dead_code, reason = "shared with the test over TLS")]
 mod receivers;
 #[path = "support/site.rs"]
 mod support;

@@ -52,6 +52,9 @@ macro_rules! rules {
         #[serde(deny_unknown_fields, default)]
         pub struct Alerts {
             $($(#[$doc])* pub $table: $name,)*
+            /// PEM: authorities, beside the web's, that may have signed the receivers' certificates.
+            #[serde(skip_serializing_if = "Option::is_none")]
+            pub certificates_file: Option<PathBuf>,
             /// Addresses that are told by HTTP.
             #[serde(skip_serializing_if = "Vec::is_empty")]
             pub webhook: Vec<Webhook>,

@@ -23,7 +23,7 @@ pub use machine::{
     BaseImu, Frames, Gate, Gnss, Imu, Initialization, LidarInOutage, LidarOdometry, Link, Machine, OnBoard,
     Publish, Smoother, Transform, World,
 };
-pub use site::{Http, Record, Rotate, Site, Tolerance, Zenoh};
+pub use site::{Equipment, Http, Record, Rotate, Site, Tolerance, Zenoh};
 pub use topics::Topics;
 
 /// Why a configuration file cannot be used.

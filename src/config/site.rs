@@ -39,6 +39,29 @@ pub struct Site {
     /// What is watched, and who is told.
     #[serde(default)]
     pub alerts: Alerts,
+    /// What telematics systems are told of the machines.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub equipment: Vec<Equipment>,
+}
+
+/// What telematics systems are told of a machine, by the names of ISO/TS 15143-3; nothing of what is left out.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Equipment {
+    /// The machine's id.
+    pub machine: String,
+    /// Its maker.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub oem_name: Option<String>,
+    /// What its maker calls it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub model: Option<String>,
+    /// Its maker's number.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub serial_number: Option<String>,
+    /// Product identification number, ISO 10261.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub pin: Option<String>,
 }
 
 /// How good a position must be.
@@ -105,6 +128,10 @@ pub struct Record {
     /// When all sessions are more than so many gigabytes (10⁹ bytes), the oldest are deleted; `None` keeps them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub keep_gb: Option<f64>,
+    /// Outages, alerts that were seen, and the shadow map's times are deleted when they were over so many days ago;
+    /// `None` keeps them for ever.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub keep_history_days: Option<f64>,
 }
 
 /// When a new session begins by itself.
@@ -156,6 +183,7 @@ impl Default for Record {
             reserve_mb: 500.0,
             keep_days: None,
             keep_gb: None,
+            keep_history_days: None,
         }
     }
 }
@@ -230,6 +258,9 @@ impl Record {
                 return violation(key, format!("is {value}, must be from {least} to 1e9"));
             }
         }
+        if let Some(days) = self.keep_history_days {
+            within("record.keep_history_days", days, 1.0, 36_500.0)?;
+        }
         Ok(())
     }
 }
@@ -282,6 +313,13 @@ impl Checked for Site {
         self.http.check()?;
         self.record.check()?;
         self.alerts.check()?;
+        let mut machines = std::collections::BTreeSet::new();
+        for equipment in &self.equipment {
+            identifier("equipment.machine", &equipment.machine)?;
+            if !machines.insert(&equipment.machine) {
+                return violation("equipment.machine", format!("is {:?} twice", equipment.machine));
+            }
+        }
         within("tolerance.position_sigma_m", self.tolerance.position_sigma_m, 0.001, 100.0)?;
         if self.zenoh.listen.is_empty() {
             return violation(
@@ -327,6 +365,11 @@ mod tests {
             ("[record]\nrotate = \"shift\"\nshifts = []\n", "record.shifts is empty"),
             ("[record]\nfile_max_mb = 0.0\n", "record.file_max_mb is 0, must be from 1 to 1e9"),
             ("[record]\nkeep_days = nan\n", "record.keep_days is NaN"),
+            ("[record]\nkeep_history_days = 0\n", "record.keep_history_days is 0, must be from 1"),
+            (
+                "[[equipment]]\nmachine = \"a\"\n[[equipment]]\nmachine = \"a\"\n",
+                "equipment.machine is \"a\" twice",
+            ),
             ("[record]\nreserve_mb = -1\n", "record.reserve_mb is -1"),
             ("[tolerance]\nposition_sigma_m = 0\n", "tolerance.position_sigma_m is 0, must be from 0.001"),
         ] {

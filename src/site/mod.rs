@@ -34,6 +34,7 @@ use crate::accounts::{Accounts, AccountsError};
 use crate::config;
 use crate::fleet::{Fleet, SiteDescription};
 use crate::link;
+use crate::time::Span;
 use backfill::Backfill;
 use clock::SiteClock;
 use counters::Counters;
@@ -149,7 +150,8 @@ impl Site {
         };
 
         let history_folder = config.record.enabled.then_some(config.record.directory.as_path());
-        let history = match History::start(history_folder, clock) {
+        let keep = config.record.keep_history_days.map(|days| Span::from_seconds(days * 86_400.0));
+        let history = match History::start(history_folder, keep, clock) {
             Ok(history) => history,
             Err(error) => {
                 link::close(session).await;
@@ -225,6 +227,7 @@ impl Site {
             clock,
             exports: http::turnstile(),
             stopped: stopped.clone(),
+            equipment: config.equipment.as_slice().into(),
             people: Arc::new(http::People::new(accounts, config.http.clone(), clock)),
             plan: http::Plan::of(&config.record.directory),
         };

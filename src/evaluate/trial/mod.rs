@@ -81,6 +81,8 @@ pub struct Trial {
     pub rests_m: Vec<[f64; 2]>,
     /// RMSE of the yardstick in the outage.
     pub yardstick_m: f64,
+    /// The same, but with the estimate's heading in place of the true one.
+    pub yardstick_own_heading_m: f64,
     /// Of odom beyond the true motion, between two estimates.
     pub largest_odom_step_m: f64,
     /// Of odom beyond the true motion, between two estimates, rad.
@@ -130,7 +132,9 @@ pub fn run(scenario: &Scenario, setup: Setup, mut clock: impl FnMut() -> u64) ->
     let mut judge = Judge::new(scenario, setup);
     while let Some(arrival) = simulation.next() {
         if let Reading::LidarOdometry(pose) = arrival.reading {
-            judge.yardstick.note(&pose, &imu_from_lidar, |stamp| simulation.truth(stamp));
+            judge
+                .yardstick
+                .note(&pose, &imu_from_lidar, judge.heading_error, |stamp| simulation.truth(stamp));
             if setup.without_lidar {
                 continue;
             }
@@ -170,6 +174,8 @@ struct Judge {
     antenna: Antenna,
     standing: Standing,
     yardstick: Yardstick,
+    /// Of the newest estimate, rad.
+    heading_error: f64,
     previous: Option<(Estimate, Truth)>,
     traced_until_s: f64,
 }
@@ -184,6 +190,7 @@ impl Judge {
             antenna: Antenna::default(),
             standing: Standing::default(),
             yardstick: Yardstick::new(outage),
+            heading_error: 0.0,
             previous: None,
             traced_until_s: f64::NEG_INFINITY,
         }
@@ -198,6 +205,7 @@ impl Judge {
 
     fn note(&mut self, estimate: &Estimate, truth: &Truth) {
         let error = estimate.state.position - truth.state.position;
+        self.heading_error = (estimate.state.rotation * truth.state.rotation.inverse()).log().z;
         let within = |[begin, end]: [Stamp; 2]| estimate.stamp > begin && estimate.stamp < end;
         if self.outage.is_some_and(within) {
             self.trial.outage.note(estimate, truth);
@@ -266,7 +274,7 @@ impl Judge {
 
     fn finish(mut self) -> Trial {
         self.trial.rests_m.extend(self.standing.distances_m());
-        self.trial.yardstick_m = self.yardstick.rmse_m();
+        [self.trial.yardstick_m, self.trial.yardstick_own_heading_m] = self.yardstick.rmse_m();
         self.trial
     }
 }

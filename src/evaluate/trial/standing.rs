@@ -1,6 +1,6 @@
 //! Drift of a standing chassis, and the yardstick of an outage.
 
-use crate::lie::{Se3, Vec3};
+use crate::lie::{Se3, So3, Vec3};
 use crate::sensors::LidarPose;
 use crate::simulate::Truth;
 use crate::time::Stamp;
@@ -35,39 +35,53 @@ impl Standing {
     }
 }
 
-/// The lidar's increments in the outage, summed up with the true heading, and left out while the chassis stands.
+/// The lidar's increments in the outage, summed up, and left out while the chassis stands: with the true heading, and
+/// with the estimate's.
 pub(super) struct Yardstick {
     outage: Option<[Stamp; 2]>,
     before: Option<(Se3, Truth)>,
-    sum: Vec3,
-    squared: f64,
+    sums: [Vec3; 2],
+    squared: [f64; 2],
     count: f64,
 }
 
 impl Yardstick {
     pub fn new(outage: Option<[Stamp; 2]>) -> Self {
-        Self { outage, before: None, sum: Vec3::zeros(), squared: 0.0, count: 0.0 }
+        Self { outage, before: None, sums: [Vec3::zeros(); 2], squared: [0.0; 2], count: 0.0 }
     }
 
-    pub fn note(&mut self, pose: &LidarPose, imu_from_lidar: &Se3, truth: impl Fn(Stamp) -> Truth) {
+    /// A pose of the lidar, and what the estimate's heading is off, rad.
+    pub fn note(
+        &mut self,
+        pose: &LidarPose,
+        imu_from_lidar: &Se3,
+        heading_error: f64,
+        truth: impl Fn(Stamp) -> Truth,
+    ) {
         if self.outage.is_none_or(|[begin, end]| pose.stamp <= begin || pose.stamp >= end) {
             return;
         }
         let truth = truth(pose.stamp);
         let map_from_lidar = *pose.lidarmap_from_lidar.motion();
         if let Some((before, truth_before)) = &self.before {
-            let [from, to] = [truth_before, &truth].map(|truth| truth.imu.pose * *imu_from_lidar);
-            let error = (before.inverse() * map_from_lidar).translation - (from.inverse() * to).translation;
             if (truth.base.pose.translation - truth_before.base.pose.translation).norm() > 1e-6 {
-                self.sum += from.rotation * error;
+                let [from, to] = [truth_before, &truth].map(|truth| truth.imu.pose * *imu_from_lidar);
+                let seen = from.rotation * (before.inverse() * map_from_lidar).translation;
+                let real = to.translation - from.translation;
+                let turned = So3::exp(&Vec3::new(0.0, 0.0, heading_error)) * seen;
+                self.sums[0] += seen - real;
+                self.sums[1] += turned - real;
             }
-            self.squared += self.sum.norm_squared();
+            for (squared, sum) in self.squared.iter_mut().zip(&self.sums) {
+                *squared += sum.norm_squared();
+            }
             self.count += 1.0;
         }
         self.before = Some((map_from_lidar, truth));
     }
 
-    pub fn rmse_m(&self) -> f64 {
-        (self.squared / self.count.max(1.0)).sqrt()
+    /// With the true heading, and with the estimate's.
+    pub fn rmse_m(&self) -> [f64; 2] {
+        self.squared.map(|squared| (squared / self.count.max(1.0)).sqrt())
     }
 }

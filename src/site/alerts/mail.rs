@@ -2,9 +2,10 @@
 
 use lettre::message::{Mailbox, header::ContentType};
 use lettre::transport::smtp::authentication::Credentials;
-use lettre::transport::smtp::client::{Tls, TlsParameters};
+use lettre::transport::smtp::client::Tls;
 use lettre::{AsyncSmtpTransport, AsyncTransport as _, Message, Tokio1Executor};
 
+use super::authorities::Authorities;
 use super::{Letter, PATIENCE, secret};
 use crate::config::{self, MailTls, Violation};
 use crate::fleet::{AlertState, UtcTime};
@@ -19,7 +20,7 @@ pub(in crate::site) struct Mailer {
 impl Mailer {
     /// # Errors
     /// An address is none, or the password cannot be read.
-    pub fn new(mail: &config::Mail) -> Result<Self, Violation> {
+    pub fn new(mail: &config::Mail, authorities: &Authorities) -> Result<Self, Violation> {
         let mailbox = |key: &str, text: &str| {
             text.parse::<Mailbox>().map_err(|error| Violation {
                 key: key.to_owned(),
@@ -27,7 +28,7 @@ impl Mailer {
             })
         };
         let parameters = || {
-            TlsParameters::new(mail.host.clone()).map_err(|error| Violation {
+            authorities.mail(&mail.host).map_err(|error| Violation {
                 key: "alerts.mail.host".to_owned(),
                 message: format!("is {:?}: {error}", mail.host),
             })

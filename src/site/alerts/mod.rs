@@ -8,6 +8,7 @@
 //! An alert is in the archive before anybody hears of it. What is to be delivered waits there, too: a restart
 //! loses nothing, and a receiver that does not answer holds up no other.
 
+mod authorities;
 mod courier;
 mod mail;
 mod webhook;
@@ -29,6 +30,7 @@ use crate::fleet::{
     Alert, AlertSeverity, AlertState, Alerts, RuleKind, SiteState, Unacknowledged, observations,
 };
 use crate::time::Stamp;
+use authorities::Authorities;
 use courier::Courier;
 use mail::Mailer;
 use webhook::Hook;
@@ -110,14 +112,18 @@ pub(super) struct Surroundings {
 /// The channels that the site file names.
 ///
 /// # Errors
-/// A secret cannot be read, or an address is none.
+/// A secret or the authorities cannot be read, or an address is none.
 pub(super) fn channels(config: &config::Alerts) -> Result<Vec<Channel>, config::Violation> {
+    let authorities = match &config.certificates_file {
+        Some(path) => Authorities::read(path)?,
+        None => Authorities::default(),
+    };
     let mut channels = Vec::new();
     for webhook in &config.webhook {
-        channels.push(Channel::Webhook(Hook::new(webhook)?));
+        channels.push(Channel::Webhook(Hook::new(webhook, &authorities)?));
     }
     if let Some(mail) = &config.mail {
-        channels.push(Channel::Mail(Mailer::new(mail)?));
+        channels.push(Channel::Mail(Mailer::new(mail, &authorities)?));
     }
     Ok(channels)
 }

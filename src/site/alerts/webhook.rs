@@ -4,8 +4,6 @@
 //! the Unix time of sending in seconds; with a secret, `Holdfast-Signature` is `sha256=` and the HMAC-SHA256, in
 //! hex, of the timestamp, a full stop and the body. Any 2xx takes it; redirections are not followed.
 
-use std::sync::Arc;
-
 use axum::http::header::{CONTENT_TYPE, HOST, USER_AGENT};
 use axum::http::{Method, Request, Uri};
 use http_body_util::Full;
@@ -16,8 +14,8 @@ use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::TcpStream;
 use tokio_rustls::TlsConnector;
 use tokio_rustls::rustls::pki_types::ServerName;
-use tokio_rustls::rustls::{ClientConfig, RootCertStore};
 
+use super::authorities::Authorities;
 use super::{Letter, secret};
 use crate::config::{self, Violation};
 use crate::fleet::AlertView;
@@ -46,7 +44,7 @@ struct Body<'a> {
 impl Hook {
     /// # Errors
     /// The address is none, or the secret cannot be read.
-    pub fn new(webhook: &config::Webhook) -> Result<Self, Violation> {
+    pub fn new(webhook: &config::Webhook, authorities: &Authorities) -> Result<Self, Violation> {
         let refused = |message: String| Violation { key: "alerts.webhook.url".to_owned(), message };
         let uri: Uri = webhook.url.parse().map_err(|error| refused(format!("is no address: {error}")))?;
         let host = uri.host().unwrap_or_default().trim_matches(['[', ']']).to_owned();
@@ -54,7 +52,7 @@ impl Hook {
             return Err(refused(format!("is {:?}, which names no host", webhook.url)));
         }
         let is_secret = uri.scheme_str() == Some("https");
-        let tls = is_secret.then(tls).transpose().map_err(refused)?;
+        let tls = is_secret.then(|| authorities.connector()).transpose().map_err(refused)?;
         let key = match &webhook.secret_file {
             Some(path) => {
                 let secret = secret("alerts.webhook.secret_file", path)?;
@@ -113,17 +111,6 @@ fn signature(key: &ring::hmac::Key, timestamp: &str, body: &[u8]) -> String {
     context.update(body);
     let hex: String = context.sign().as_ref().iter().map(|byte| format!("{byte:02x}")).collect();
     format!("sha256={hex}")
-}
-
-fn tls() -> Result<TlsConnector, String> {
-    let roots = RootCertStore { roots: webpki_roots::TLS_SERVER_ROOTS.to_vec() };
-    let provider = Arc::new(tokio_rustls::rustls::crypto::ring::default_provider());
-    let config = ClientConfig::builder_with_provider(provider)
-        .with_safe_default_protocol_versions()
-        .map_err(|error| error.to_string())?
-        .with_root_certificates(roots)
-        .with_no_client_auth();
-    Ok(TlsConnector::from(Arc::new(config)))
 }
 
 async fn exchange<S: AsyncRead + AsyncWrite + Unpin>(

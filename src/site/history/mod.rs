@@ -1,5 +1,5 @@
-//! What the site remembers beside its recordings: outages, where they were, alerts, and who is to be told. Kept in SQLite, for itself: unlike
-//! the sessions' catalogue it cannot be made anew from files.
+//! What the site remembers beside its recordings: outages, where they were, alerts, and who is to be told. Kept in
+//! SQLite, for itself: unlike the sessions' catalogue it cannot be made anew from files.
 //!
 //! ```text
 //! aggregator ── try_send ─▶ history thread ──▶ archive (database, outages that go on) ◀── API
@@ -9,14 +9,16 @@
 
 mod alerts;
 mod database;
+mod forgetting;
 mod outages;
 mod shadow;
 
 use std::collections::BTreeMap;
 use std::path::Path;
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
+use std::time::Duration;
 
 use rusqlite::Result;
 
@@ -33,6 +35,8 @@ pub(super) use shadow::Area;
 const QUEUE: usize = 4 * crate::fleet::MACHINES_MAX;
 /// An outage that goes on is written so often.
 const WRITTEN_EVERY: Span = Span::from_millis(10_000);
+/// What is too old is looked for so often.
+const FORGETS_EVERY: Span = Span::from_millis(600_000);
 
 /// What is to be remembered.
 #[derive(Debug)]
@@ -69,14 +73,15 @@ impl Inlet {
 }
 
 impl History {
-    /// In `folder`, which is ours; `None` remembers as long as the process lives.
-    pub fn start(folder: Option<&Path>, clock: SiteClock) -> std::io::Result<Self> {
+    /// In `folder`, which is ours; `None` remembers as long as the process lives. What was over `keep` ago is
+    /// forgotten; `None` keeps it for ever.
+    pub fn start(folder: Option<&Path>, keep: Option<Span>, clock: SiteClock) -> std::io::Result<Self> {
         let archive = Arc::new(Archive::open(folder).map_err(std::io::Error::other)?);
         let (inbox, notes) = sync_channel(QUEUE);
         let for_thread = Arc::clone(&archive);
         let thread = std::thread::Builder::new()
             .name("history".to_owned())
-            .spawn(move || run(&for_thread, &notes, clock))?;
+            .spawn(move || run(&for_thread, &notes, keep, clock))?;
         Ok(Self { archive, inbox: Some(inbox), thread: Some(thread) })
     }
 
@@ -98,13 +103,29 @@ impl History {
     }
 }
 
-fn run(archive: &Archive, notes: &Receiver<Note>, clock: SiteClock) {
+fn run(archive: &Archive, notes: &Receiver<Note>, keep: Option<Span>, clock: SiteClock) {
     let mut written: BTreeMap<String, Stamp> = BTreeMap::new();
-    while let Ok(note) = notes.recv() {
-        let kept = match note {
-            Note::Outage(change) => archive.note_outage(*change, &mut written, clock.now()),
-            Note::Cells(cells) => archive.database().add_cells(&cells),
+    let mut forgets_at = clock.now();
+    loop {
+        let note = match notes.recv_timeout(Duration::from_secs(60)) {
+            Ok(note) => Some(note),
+            Err(RecvTimeoutError::Timeout) => None,
+            Err(RecvTimeoutError::Disconnected) => break,
         };
+        let now = clock.now();
+        let mut kept = match note {
+            Some(Note::Outage(change)) => archive.note_outage(*change, &mut written, now),
+            Some(Note::Cells(cells)) => archive.database().add_cells(&cells),
+            None => Ok(()),
+        };
+        if let Some(keep) = keep
+            && now >= forgets_at
+        {
+            // More of it is for the next round: notes are waiting.
+            let more = archive.database().forget(now - keep);
+            forgets_at = if matches!(more, Ok(true)) { now } else { now + FORGETS_EVERY };
+            kept = kept.and(more.map(drop));
+        }
         if let Err(error) = kept {
             tracing::error!("the history cannot be written: {error}");
         }

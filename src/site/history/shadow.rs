@@ -19,7 +19,7 @@ pub(in crate::site) struct Area {
 }
 
 /// The quarter of an hour in which a time is.
-fn quarter(stamp: Stamp) -> i64 {
+pub(super) fn quarter(stamp: Stamp) -> i64 {
     stamp.as_nanos().div_euclid(QUARTER.as_nanos())
 }
 

@@ -7,9 +7,9 @@
 //! header and location), and published answers of Bell, Develon and Takeuchi (`datetime` as an attribute, `metre`). JSON
 //! has the same names; attributes stand beside elements.
 //!
-//! Of the header the site knows `EquipmentID` alone, which is the machine's id; make, model, serial number and PIN are
-//! left out rather than made up, and so are hours and fuel. What the standard has no place for, how good a position is,
-//! is in a namespace of our own, [`QUALITY`].
+//! Of the header, `EquipmentID` is the machine's id; make, model, serial number and PIN are what the site file's
+//! `[[equipment]]` says, and left out rather than made up where it says nothing, as are hours and fuel. What the standard
+//! has no place for, how good a position is, is in a namespace of our own, [`QUALITY`].
 
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
@@ -23,6 +23,7 @@ use serde::Serialize;
 use super::Shared;
 use super::input::malformed;
 use super::problem::Problem;
+use crate::config;
 use crate::fleet::{FleetView, MachineView, Presence, Severity, UtcTime};
 use crate::state::{GnssState, Mode};
 use crate::time::Stamp;
@@ -75,12 +76,51 @@ pub(super) struct Equipment {
 }
 
 /// Who it is.
-#[derive(Debug, Serialize, utoipa::ToSchema)]
+#[derive(Clone, Debug, Serialize, utoipa::ToSchema)]
 #[schema(as = aemp::EquipmentHeader)]
 pub(super) struct EquipmentHeader {
+    /// Its maker, if the site file says so.
+    #[serde(rename = "OEMName", skip_serializing_if = "Option::is_none")]
+    oem_name: Option<String>,
+    /// Likewise.
+    #[serde(rename = "Model", skip_serializing_if = "Option::is_none")]
+    model: Option<String>,
     /// The machine's id.
     #[serde(rename = "EquipmentID")]
     equipment_id: String,
+    /// Its maker's number, if the site file says so.
+    #[serde(rename = "SerialNumber", skip_serializing_if = "Option::is_none")]
+    serial_number: Option<String>,
+    /// Product identification number, if the site file says so.
+    #[serde(rename = "PIN", skip_serializing_if = "Option::is_none")]
+    pin: Option<String>,
+}
+
+impl EquipmentHeader {
+    fn of(machine: &str, known: &[config::Equipment]) -> Self {
+        let known = known.iter().find(|known| known.machine == machine).cloned().unwrap_or_default();
+        Self {
+            oem_name: known.oem_name,
+            model: known.model,
+            equipment_id: machine.to_owned(),
+            serial_number: known.serial_number,
+            pin: known.pin,
+        }
+    }
+
+    /// By the standard's names, in its order.
+    fn elements(&self) -> impl Iterator<Item = (&'static str, String)> {
+        let Self { oem_name, model, equipment_id, serial_number, pin } = self.clone();
+        [
+            ("OEMName", oem_name),
+            ("Model", model),
+            ("EquipmentID", Some(equipment_id)),
+            ("SerialNumber", serial_number),
+            ("PIN", pin),
+        ]
+        .into_iter()
+        .filter_map(|(name, text)| Some((name, text?)))
+    }
 }
 
 /// Its last known location: of the cabin IMU, WGS84.
@@ -180,7 +220,7 @@ pub(super) async fn fleet(
             "this comes as application/xml, text/xml and application/json",
         )
     })?;
-    let fleet = page_of(&shared.frame().view, page)?;
+    let fleet = page_of(&shared.frame().view, &shared.equipment, page)?;
     let unwritten = |error: &dyn std::fmt::Display| {
         tracing::error!("the fleet cannot be written: {error}");
         Problem::new(StatusCode::INTERNAL_SERVER_ERROR, "the answer cannot be written")
@@ -243,7 +283,7 @@ fn quality(accept: &str, kind: &str) -> f64 {
     found.1
 }
 
-fn page_of(view: &FleetView, page: u32) -> Result<Fleet, Problem> {
+fn page_of(view: &FleetView, known: &[config::Equipment], page: u32) -> Result<Fleet, Problem> {
     // The first page is there also when there are no machines.
     let last = view.machines.len().div_ceil(PAGE).max(1) as u32;
     if !(1..=last).contains(&page) {
@@ -255,7 +295,7 @@ fn page_of(view: &FleetView, page: u32) -> Result<Fleet, Problem> {
         version: VERSION,
         snapshot_time: seconds(view.time),
         links: links(page, last),
-        equipment: machines.map(equipment).collect(),
+        equipment: machines.map(|machine| equipment(machine, known)).collect(),
     })
 }
 
@@ -268,7 +308,7 @@ fn links(page: u32, last: u32) -> Vec<Link> {
     links
 }
 
-fn equipment(machine: &MachineView) -> Equipment {
+fn equipment(machine: &MachineView, known: &[config::Equipment]) -> Equipment {
     let report = machine.health.as_ref().map(|health| &health.report);
     let location = machine.pose.as_ref().map(|pose| Location {
         datetime: seconds(pose.stamp),
@@ -290,7 +330,7 @@ fn equipment(machine: &MachineView) -> Equipment {
         heading_sigma_degrees: pose.heading_sigma_deg,
     });
     Equipment {
-        equipment_header: EquipmentHeader { equipment_id: machine.id.clone() },
+        equipment_header: EquipmentHeader::of(&machine.id, known),
         location,
         quality: PoseQuality {
             name: machine.name.clone(),
@@ -334,9 +374,9 @@ fn xml(fleet: &Fleet) -> std::io::Result<Vec<u8>> {
 fn xml_equipment(writer: &mut Writer<Vec<u8>>, equipment: &Equipment) -> std::io::Result<()> {
     let Equipment { equipment_header, location, quality } = equipment;
     writer.create_element("Equipment").write_inner_content(|writer| {
-        writer.create_element("EquipmentHeader").write_inner_content(|writer| {
-            texts(writer, [("EquipmentID", equipment_header.equipment_id.clone())])
-        })?;
+        writer
+            .create_element("EquipmentHeader")
+            .write_inner_content(|writer| texts(writer, equipment_header.elements()))?;
         if let Some(location) = location {
             let element = writer.create_element("Location");
             element.with_attribute(("datetime", location.datetime.as_str())).write_inner_content(
@@ -434,6 +474,24 @@ mod tests {
         ] {
             assert_eq!(preferred(accept), form, "{accept}");
         }
+    }
+
+    #[test]
+    fn header_has_what_the_site_file_says_in_the_standards_order_and_nothing_else() {
+        let known = [config::Equipment {
+            machine: "a".to_owned(),
+            oem_name: Some("Menzi & Muck".to_owned()),
+            pin: Some("*1*".to_owned()),
+            ..Default::default()
+        }];
+        let of = |machine| EquipmentHeader::of(machine, &known).elements().collect::<Vec<_>>();
+        let text = |name, text: &str| (name, text.to_owned());
+        let expected = [text("OEMName", "Menzi & Muck"), text("EquipmentID", "a"), text("PIN", "*1*")];
+        assert_eq!(of("a"), expected);
+        assert_eq!(of("b"), [text("EquipmentID", "b")]);
+        let json = serde_json::to_value(EquipmentHeader::of("a", &known)).expect("JSON");
+        let expected = serde_json::json!({"OEMName": "Menzi & Muck", "EquipmentID": "a", "PIN": "*1*"});
+        assert_eq!(json, expected);
     }
 
     #[test]

@@ -12,6 +12,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use sha2::{Digest as _, Sha256};
 
+use super::door::Late;
 use super::problem::Problem;
 
 /// No body is longer, but for those that say so.
@@ -42,7 +43,10 @@ pub(super) fn body(
     body: Result<Bytes, BytesRejection>,
     kinds: &[&str],
 ) -> Result<Bytes, Problem> {
-    let body = body.map_err(|rejection| Problem::new(rejection.status(), rejection.body_text()))?;
+    let body = body.map_err(|rejection| match Late::is_behind(&rejection) {
+        true => Problem::new(StatusCode::REQUEST_TIMEOUT, Late.to_string()),
+        false => Problem::new(rejection.status(), rejection.body_text()),
+    })?;
     let kind = headers.get(CONTENT_TYPE).and_then(|value| value.to_str().ok()).unwrap_or("");
     let kind = kind.split(';').next().unwrap_or("").trim();
     if !body.is_empty() && !kinds.iter().any(|wanted| kind.eq_ignore_ascii_case(wanted)) {

@@ -8,6 +8,7 @@ mod audit;
 mod buckets;
 mod configuration;
 mod docs;
+mod door;
 mod download;
 mod export;
 mod foxglove;
@@ -34,14 +35,12 @@ mod trajectory;
 mod users;
 mod visitor;
 
-use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::mpsc::SyncSender;
 
 use axum::extract::DefaultBodyLimit;
 use axum::routing::get;
-use axum::serve::ListenerExt as _;
 use axum::{Extension, Router, middleware};
 use tokio::net::TcpListener;
 use tokio::sync::{Semaphore, mpsc, watch};
@@ -53,10 +52,10 @@ use super::aggregator::Frame;
 use super::alerts::{Acknowledge, Channel};
 use super::clock::SiteClock;
 use super::counters::Counters;
-use super::ended;
 use super::foxglove::Feeds;
 use super::history::Archive;
 use super::sessions::{Catalogue, Command, Progress};
+use crate::config;
 use crate::fleet::Alert;
 use crate::frames::geodesy::SiteFrame;
 pub(super) use export::turnstile;
@@ -85,6 +84,7 @@ pub(super) struct Shared {
     /// The site's id.
     pub site: String,
     pub site_frame: SiteFrame,
+    pub equipment: Arc<[config::Equipment]>,
     pub time_zone: jiff::tz::TimeZone,
     pub clock: SiteClock,
     /// How many exports may be made at once.
@@ -207,15 +207,7 @@ fn dress(
 }
 
 /// Serves until `stopped` says so, then ends what is idle and waits for what is under way.
-pub(super) async fn serve(listener: TcpListener, shared: Shared, mut stopped: watch::Receiver<bool>) {
-    let app = router(shared).into_make_service_with_connect_info::<SocketAddr>();
-    let listener = listener.tap_io(|stream| {
-        if let Err(error) = stream.set_nodelay(true) {
-            tracing::debug!("a connection waits to fill its packets: {error}");
-        }
-    });
-    let end = async move { ended(&mut stopped).await };
-    if let Err(error) = axum::serve(listener, app).with_graceful_shutdown(end).await {
-        tracing::error!("page and API ended: {error}");
-    }
+pub(super) async fn serve(listener: TcpListener, shared: Shared, stopped: watch::Receiver<bool>) {
+    let people = Arc::clone(&shared.people);
+    door::serve(listener, router(shared), &people.http.proxies, stopped).await;
 }

@@ -161,7 +161,7 @@ fn document(operation: &mut Operation, method: &str, need: Need) {
         known.push(("403", "Forbidden"));
     }
     if operation.request_body.is_some() {
-        known.extend([("413", "TooLarge"), ("415", "WrongType")]);
+        known.extend([("408", "TooSlow"), ("413", "TooLarge"), ("415", "WrongType")]);
     }
     // What is left out is not there: nobody sends a parameter that is `null`.
     for parameter in operation.parameters.iter_mut().flatten() {
@@ -185,6 +185,7 @@ fn problems() -> impl Iterator<Item = (&'static str, Response)> {
         ("Malformed", "The request is not as it should be", None),
         ("Unknown", "Nobody who is known: sign in, or show a token", Some("WWW-Authenticate")),
         ("Forbidden", "The role does not reach, or the request comes from another origin", None),
+        ("TooSlow", "The body did not come in time", None),
         ("TooLarge", "The body is too large", None),
         ("WrongType", "The body has another media type", None),
         ("Misdirected", "The server does not answer to this host name", None),

@@ -2237,6 +2237,14 @@ export interface components {
         "aemp.EquipmentHeader": {
             /** @description The machine's id. */
             EquipmentID: string;
+            /** @description Likewise. */
+            Model?: string | null;
+            /** @description Its maker, if the site file says so. */
+            OEMName?: string | null;
+            /** @description Product identification number, if the site file says so. */
+            PIN?: string | null;
+            /** @description Its maker's number, if the site file says so. */
+            SerialNumber?: string | null;
         };
         /** @description A page of the fleet, by the names of ISO/TS 15143-3. */
         "aemp.Fleet": {
@@ -2399,6 +2407,15 @@ export interface components {
         TooMany: {
             headers: {
                 "Retry-After"?: string;
+                [name: string]: unknown;
+            };
+            content: {
+                "application/problem+json": components["schemas"]["Problem"];
+            };
+        };
+        /** @description The body did not come in time */
+        TooSlow: {
+            headers: {
                 [name: string]: unknown;
             };
             content: {
@@ -2662,6 +2679,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            408: components["responses"]["TooSlow"];
             409: {
                 headers: {
                     [name: string]: unknown;
@@ -3080,6 +3098,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            408: components["responses"]["TooSlow"];
             /** @description There are no accounts */
             409: {
                 headers: {
@@ -3313,6 +3332,7 @@ export interface operations {
             400: components["responses"]["Malformed"];
             401: components["responses"]["Unknown"];
             403: components["responses"]["Forbidden"];
+            408: components["responses"]["TooSlow"];
             /** @description It was changed since */
             412: {
                 headers: {
@@ -3414,6 +3434,7 @@ export interface operations {
             };
             401: components["responses"]["Unknown"];
             403: components["responses"]["Forbidden"];
+            408: components["responses"]["TooSlow"];
             409: {
                 headers: {
                     [name: string]: unknown;
@@ -3542,6 +3563,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            408: components["responses"]["TooSlow"];
             413: components["responses"]["TooLarge"];
             415: {
                 headers: {
@@ -4002,6 +4024,7 @@ export interface operations {
                 };
             };
             403: components["responses"]["Forbidden"];
+            408: components["responses"]["TooSlow"];
             413: components["responses"]["TooLarge"];
             415: components["responses"]["WrongType"];
             421: components["responses"]["Misdirected"];
@@ -4102,6 +4125,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            408: components["responses"]["TooSlow"];
             /** @description There are no accounts */
             409: {
                 headers: {
@@ -4207,6 +4231,7 @@ export interface operations {
             400: components["responses"]["Malformed"];
             401: components["responses"]["Unknown"];
             403: components["responses"]["Forbidden"];
+            408: components["responses"]["TooSlow"];
             /** @description The name is taken, or there are no accounts yet: the first is made on the command line */
             409: {
                 headers: {
@@ -4304,6 +4329,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            408: components["responses"]["TooSlow"];
             /** @description It is the only admin */
             409: {
                 headers: {
