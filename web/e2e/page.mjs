@@ -22,6 +22,7 @@ export class Watched {
   /** When the page went to another view, or wrote into its address what it shows. */
   #left_ms = [];
   #closed = false;
+  #answers = [];
 
   /** Errors on the console, uncaught ones, violations of the content security policy, and requests that failed. */
   get complaints() {
@@ -46,6 +47,7 @@ export class Watched {
       if (message.type() === "error" && !notThere) this.#complaints.push(message.text());
     });
     page.on("pageerror", (error) => this.#complaints.push(error.message));
+    page.on("response", (response) => this.#answers.push(response));
     page.on("requestfailed", (request) => {
       const reason = request.failure()?.errorText;
       const url = request.url();
@@ -72,6 +74,12 @@ export class Watched {
     });
     await page.goto(`${origin}${path}`);
     return watched;
+  }
+
+  /** The answer to a question of the page, asked before or soon, by its address. */
+  async answered(isWanted, within_ms = 10_000) {
+    const known = this.#answers.find((response) => isWanted(response.url()));
+    return known ?? this.page.waitForResponse((response) => isWanted(response.url()), { timeout: within_ms });
   }
 
   /** Leaves the browser to the others. */

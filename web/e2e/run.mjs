@@ -201,6 +201,17 @@ async function live(origin) {
   });
 
   const dark = await Watched.open(browser, origin, { colorScheme: "dark", path: "/?lang=de" });
+  await checks.check("a page that is opened later asks where the machines came from", async () => {
+    const asked = async (id) => {
+      const path = `/api/v1/machines/${id}/trajectory?`;
+      const response = await dark.answered((url) => url.includes(path));
+      const { points } = await response.json();
+      const last = points.at(-1);
+      if (points.length < 30 || last.cabin_position_m.length !== 3 || last.gnss === null)
+        throw new Error(`${id}: ${points.length} points, the last ${JSON.stringify(last)}`);
+    };
+    for (const id of ids) await asked(id);
+  });
   await dark.card(ids[0]).locator(".card-head").click();
   await checks.check("the page speaks German, and draws in the dark", async () => {
     await dark.page.getByText("Maschinen").first().waitFor({ timeout: 2_000 });

@@ -6,6 +6,8 @@ import { render } from "preact";
 import { fetchMe } from "./api/accounts";
 import { whenUnknown } from "./api/http";
 import { browserSurroundings, Live } from "./api/live";
+import { fetchTrajectory } from "./api/machines";
+import type { FleetView } from "./api/types";
 import { App } from "./app";
 import { closeMenus } from "./components/menus";
 import { Format } from "./format";
@@ -14,6 +16,7 @@ import { takeAlerts } from "./store/alerts";
 import { DeskContext, keptChoices } from "./store/context";
 import { me, setMe } from "./store/people";
 import { Store } from "./store/store";
+import { TAIL_SPAN_MS } from "./store/trace";
 import "./style.css";
 import "./views.css";
 import "./plan/plan.css";
@@ -34,6 +37,7 @@ const live = new Live(
       lastHeard_ms = performance.now();
       store.takeSnapshot(message);
       store.setLink({ phase: "open", since_ms: lastHeard_ms });
+      void recall(message.fleet);
     },
     delta(message) {
       lastHeard_ms = performance.now();
@@ -64,6 +68,23 @@ effect(() => {
 });
 const zone = computed(() => (choices.utc.value ? "UTC" : store.calm.value.site?.time_zone));
 const format = computed(() => new Format(text.value.language, zone.value));
+
+const recalled = new Set<string>();
+
+/** Where machines came from before the page was opened: asked once of each, one after the other. */
+async function recall({ machines, time }: FleetView): Promise<void> {
+  const since = new Date(Date.parse(time) - TAIL_SPAN_MS).toISOString();
+  for (const { id } of machines) {
+    if (recalled.has(id)) continue;
+    recalled.add(id);
+    try {
+      const { points } = await fetchTrajectory(id, since);
+      if (!store.recall(id, points)) recalled.delete(id);
+    } catch {
+      // Then its tail begins now.
+    }
+  }
+}
 
 let speaking = false;
 

@@ -17,6 +17,7 @@ import type {
   MachineView,
   SessionsView,
   TrackAnswer,
+  TrajectoryView,
 } from "./types";
 
 type Schemas = components["schemas"];
@@ -39,6 +40,7 @@ export type Agreement = [
   Holds<Same<TrackAnswer, Schemas["TrackAnswer"]>>,
   Holds<Same<EventsAnswer, Schemas["EventsAnswer"]>>,
   Holds<Same<HistoryView, Schemas["HistoryView"]>>,
+  Holds<Same<TrajectoryView, Schemas["TrajectoryView"]>>,
   Holds<Same<ConfigurationView, Schemas["ConfigurationView"]>>,
   Holds<Same<OutagesView, Schemas["OutagesView"]>>,
   Holds<Same<OutageDetail, Schemas["OutageDetail"]>>,

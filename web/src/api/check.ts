@@ -66,6 +66,8 @@ import {
   type Snapshot,
   type StatePoint,
   type TrackAnswer,
+  type TrailPoint,
+  type TrajectoryView,
   type WorldOrigin,
 } from "./types";
 
@@ -255,6 +257,25 @@ const statePoint = object<StatePoint>({
   prediction_p99_us: nullable(number),
   clock_offset_s: nullable(number),
   pose_rate_hz: nullable(number),
+});
+
+const trailPoint = object<TrailPoint>({
+  time,
+  stamp: time,
+  position_m: vector3,
+  latitude_deg: number,
+  longitude_deg: number,
+  cabin_position_m: vector3,
+  heading_deg: number,
+  semi_major_m: number,
+  mode: nullable(oneOf(MODES)),
+  gnss: nullable(oneOf(GNSS_STATES)),
+});
+
+export const checkTrajectory = object<TrajectoryView>({
+  machine: text,
+  points: list(trailPoint),
+  next: nullable(time),
 });
 
 export const checkConfiguration = object<ConfigurationView>({

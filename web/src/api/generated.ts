@@ -2136,6 +2136,9 @@ export interface components {
         };
         /** @description Where a machine was at one time. */
         TrailPoint: {
+            /** @description Of the cabin's axis in the site frame: east, north, up, m. */
+            cabin_position_m: number[];
+            gnss?: components["schemas"]["GnssState"] | null;
             /**
              * Format: double
              * @description Of the cabin's x axis: 0 is the site's north, clockwise, [0, 360).

@@ -1,8 +1,8 @@
 /** One machine: its last hour, and how it is configured. */
 
-import { checkConfiguration, checkHistory } from "./check";
+import { checkConfiguration, checkHistory, checkTrajectory } from "./check";
 import { askFor, withQuery } from "./http";
-import type { ConfigurationView, HistoryView } from "./types";
+import type { ConfigurationView, HistoryView, TrajectoryView } from "./types";
 
 /** What it said of itself after `since`. */
 export function fetchHistory(id: string, since: string | null, signal: AbortSignal): Promise<HistoryView> {
@@ -14,4 +14,10 @@ export function fetchHistory(id: string, since: string | null, signal: AbortSign
 export function fetchConfiguration(id: string, signal: AbortSignal): Promise<ConfigurationView> {
   const path = `/api/v1/machines/${encodeURIComponent(id)}/configuration`;
   return askFor(path, checkConfiguration, { signal });
+}
+
+/** Where it was after `since`, in the last hour. */
+export function fetchTrajectory(id: string, since: string): Promise<TrajectoryView> {
+  const path = `/api/v1/machines/${encodeURIComponent(id)}/trajectory`;
+  return askFor(withQuery(path, { since }), checkTrajectory);
 }

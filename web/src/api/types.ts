@@ -288,6 +288,26 @@ export interface StatePoint {
   pose_rate_hz: number | null;
 }
 
+/** Where a machine was at one time. */
+export interface TrailPoint {
+  time: string;
+  stamp: string;
+  position_m: Vector3;
+  latitude_deg: number;
+  longitude_deg: number;
+  cabin_position_m: Vector3;
+  heading_deg: number;
+  semi_major_m: number;
+  mode: Mode | null;
+  gnss: GnssState | null;
+}
+
+export interface TrajectoryView {
+  machine: string;
+  points: TrailPoint[];
+  next: string | null;
+}
+
 /** What runs on a machine, and how it is configured. */
 export interface ConfigurationView {
   machine: string;

@@ -7,7 +7,7 @@
 
 import { type ReadonlySignal, type Signal, signal } from "@preact/signals";
 
-import type { Delta, MachineView, Site, Snapshot } from "../api/types";
+import type { Delta, MachineView, Site, Snapshot, TrailPoint } from "../api/types";
 import type { Source } from "./context";
 import { Trace, type Tracing } from "./trace";
 
@@ -101,6 +101,22 @@ export class Store implements Source {
 
   takeDelta(message: Delta): void {
     this.takeViews(message.machines, message.time, this.surroundings.now());
+  }
+
+  /** Where a machine was before the page was opened, oldest first; `false` if the page does not know it yet. */
+  recall(id: string, points: readonly TrailPoint[]): boolean {
+    const trace = this.current.value.machines.get(id)?.trace;
+    if (!(trace instanceof Trace) || this.lastSiteTime === null) return false;
+    const begins_ms = this.lastSiteTime.received_ms - this.lastSiteTime.time_ms;
+    trace.precede(
+      points.map(({ time, cabin_position_m, gnss }) => ({
+        at: [cabin_position_m[0], cabin_position_m[1]],
+        time_ms: begins_ms + Date.parse(time),
+        gnss,
+      })),
+    );
+    this.askFrame();
+    return true;
   }
 
   setLink(link: Link): void {
