@@ -20,6 +20,8 @@ use tokio_tungstenite::tungstenite::Message;
 use receivers::{HttpReceiver, MailReceiver, Request, until};
 use support::{Answer, Folder, Machine, PATIENCE, exchange, exchange_body, get, now};
 
+type Socket = tokio_tungstenite::WebSocketStream<tokio_tungstenite::MaybeTlsStream<tokio::net::TcpStream>>;
+
 const SECRET: &str = "correct horse battery staple";
 
 /// A site on which machines are missed soon, and that tells these receivers.
@@ -74,6 +76,20 @@ fn states(requests: &[Request]) -> Vec<String> {
     requests.iter().map(state).collect()
 }
 
+/// The first alert of the next live message about alerts in which it is as wanted.
+async fn told(socket: &mut Socket, wanted: impl Fn(&Value) -> bool) -> Value {
+    let listening = async {
+        loop {
+            let message = socket.next().await.expect("open").expect("a message");
+            let message: Value = serde_json::from_str(message.to_text().expect("text")).expect("JSON");
+            if message["type"] == "alerts" && wanted(&message["alerts"][0]) {
+                return message["alerts"][0].clone();
+            }
+        }
+    };
+    tokio::time::timeout(PATIENCE, listening).await.expect("in time")
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn lost_machine_is_told_by_webhook_mail_and_websocket_acknowledged_and_cleared() {
     let folder = Folder::new("alerts");
@@ -90,20 +106,17 @@ async fn lost_machine_is_told_by_webhook_mail_and_websocket_acknowledged_and_cle
     socket.send(Message::text(r#"{"type":"subscribe","alerts":true}"#)).await.expect("sent");
 
     drop(machine.token.take());
-    let alert = tokio::time::timeout(PATIENCE, async {
-        loop {
-            let message = socket.next().await.expect("open").expect("a message");
-            let message: Value = serde_json::from_str(message.to_text().expect("text")).expect("JSON");
-            if message["type"] == "alerts" && message["alerts"][0].is_object() {
-                return message["alerts"][0].clone();
-            }
-        }
-    })
-    .await
-    .expect("in time");
+    let alert = told(&mut socket, |alert| alert.is_object()).await;
     assert_eq!((&alert["rule"], &alert["machine"]), (&"machine_lost".into(), &"a".into()), "{alert}");
     assert_eq!((&alert["state"], &alert["message"]), (&"active".into(), &"a is not connected".into()));
-    assert_eq!(list(address, "state=active&machine=a&rule=machine_lost").await.len(), 1);
+    // While it goes on its worst does, for those who listen and for those who ask; nothing else of it changes.
+    let worst = |alert: &Value| alert["worst"].as_f64().expect("a number");
+    let later = told(&mut socket, |later| later.is_object() && worst(later) > worst(&alert)).await;
+    for same in ["id", "state", "value", "message", "raised", "changed", "times"] {
+        assert_eq!(later[same], alert[same], "{same}");
+    }
+    let asked = list(address, "state=active&machine=a&rule=machine_lost").await;
+    assert!(asked.len() == 1 && worst(&asked[0]) >= worst(&later), "{asked:?}");
     assert_eq!(list(address, "machine=b").await.len(), 0);
 
     // The receiver refuses twice, and is told again until it takes it.

@@ -14,9 +14,9 @@ use holdfast::sensors::{Arrival, ImuSample, Reading, Sensor};
 use holdfast::simulate::{Scenario, Simulation};
 use holdfast::time::Stamp;
 use holdfast::wire::{
-    Attachment, Batch, BootId, Holdings, Kept, Key, Odometry, RecordRequest, RosMessage, Topic, Wanted,
-    WireError, alive_selector, decode_event, decode_journal_page, decode_reading, decode_report, encode_json,
-    encode_reading, record_key, topic_key,
+    Attachment, Batch, BootId, Holdings, JournalHead, Kept, Key, Odometry, RecordRequest, RosMessage, Topic,
+    Wanted, WireError, alive_selector, configuration_key, decode_event, decode_journal_page, decode_reading,
+    decode_report, encode_json, encode_reading, record_key, topic_key,
 };
 use tokio::sync::mpsc;
 use zenoh::sample::{Sample, SampleKind};
@@ -242,12 +242,19 @@ async fn record_on_board_gives_out_what_was_sent_as_it_was() {
     let mut machine = linked(machine, &observer.endpoint);
     let folder = std::env::temp_dir().join(format!("holdfast-on-board-asked-{}", std::process::id()));
     machine.record = config::OnBoard { directory: folder.clone(), enabled: true, ..machine.record };
+    let machine_file = machine.to_toml();
     let source = Source::Simulation { scenario: Box::new(scenario()), index: 0 };
     let peer = Machine::start(Options { machine, source, speed: 1.0 }).await.expect("start");
     let boot = peer.boot();
     tokio::time::sleep(Duration::from_secs(6)).await;
     let holdings =
         Holdings::decode(&ask(&observer, peer.boot(), &RecordRequest::Holdings).await).expect("holdings");
+    let key = configuration_key("site", "walker-1", boot);
+    let answers = observer.session.get(key).await.expect("asked");
+    let answer = answers.recv_async().await.expect("answered");
+    let told = answer.result().expect("no refusal").payload().to_bytes().into_owned();
+    let head: JournalHead = serde_json::from_slice(&told).expect("JSON");
+    assert_eq!((head.software.as_str(), head.machine_file), (env!("CARGO_PKG_VERSION"), machine_file));
     // Of two machines with the same id each answers for itself.
     let other = record_key("site", "walker-1", BootId(!boot.0));
     let answers = observer.session.get(other).await.expect("asked");

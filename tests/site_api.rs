@@ -17,6 +17,7 @@ use serde_json::Value;
 use tokio::io::{AsyncBufReadExt as _, BufReader};
 use tokio::net::TcpStream;
 use tokio_tungstenite::tungstenite::Message;
+use zenoh::Wait as _;
 
 use support::{Folder, Machine, PATIENCE, exchange, get, now};
 
@@ -201,6 +202,31 @@ async fn machine_that_is_started_anew_is_restarted_until_it_says_where_it_is() {
     assert!(metrics.contains("holdfast_machine_up{machine=\"a\"} 1"), "{}", metrics);
     machine.speak_until(async || is_online(address).await).await;
     assert_eq!(view().await["state_word"], "RTK FIXED");
+    site.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn configuration_is_asked_of_the_machine_itself() {
+    let folder = Folder::new("configuration");
+    let site = Site::start(&folder.config()).await.expect("starts");
+    let mut machine = Machine::connect("a", 7, &site.endpoints()[0]).await;
+    machine.speak_until(async || is_online(site.address()).await).await;
+    let path = "/api/v1/machines/a/configuration";
+    let silent = get(site.address(), path).await;
+    assert_eq!((silent.status, silent.header("content-type")), (503, "application/problem+json"));
+    let head = wire::JournalHead { software: "1.2.3".to_owned(), machine_file: "id = \"a\"\n".to_owned() };
+    let payload = wire::encode_json("configuration", &head).expect("JSON");
+    let key = wire::configuration_key("quarry", "a", machine.boot);
+    let declared = machine.session.declare_queryable(key);
+    let answering = declared.callback(move |query| {
+        query.reply(query.key_expr().clone(), payload.clone()).wait().expect("replied");
+    });
+    answering.background().await.expect("declared");
+    machine.speak_until(async || get(site.address(), path).await.status == 200).await;
+    let told = get(site.address(), path).await.json();
+    assert_eq!((&told["software"], &told["machine_file"]), (&"1.2.3".into(), &"id = \"a\"\n".into()));
+    assert_eq!((&told["machine"], &told["boot"]), (&"a".into(), &machine.boot.to_string().into()));
+    assert_eq!(get(site.address(), "/api/v1/machines/b/configuration").await.status, 404);
     site.stop().await;
 }
 

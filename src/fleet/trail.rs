@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use super::MACHINES_MAX;
 use super::view::{FleetView, Presence, UtcTime};
-use crate::state::Mode;
+use crate::state::{GnssState, Mode};
 use crate::time::{Span, Stamp};
 
 /// From one point to the next, at least.
@@ -32,12 +32,16 @@ pub struct TrailPoint {
     pub latitude_deg: f64,
     /// Of the cabin IMU, degrees.
     pub longitude_deg: f64,
+    /// Of the cabin's axis in the site frame: east, north, up, m.
+    pub cabin_position_m: [f64; 3],
     /// Of the cabin's x axis: 0 is the site's north, clockwise, [0, 360).
     pub heading_deg: f64,
     /// The longer half axis of the ellipse in which it is with 95 % probability, m.
     pub semi_major_m: f64,
     /// Mode of the estimator; `null` if it is not known.
     pub mode: Option<Mode>,
+    /// What could be said of its fixes; `null` if it is not known.
+    pub gnss: Option<GnssState>,
 }
 
 /// The trails of all machines.
@@ -66,9 +70,11 @@ impl Trails {
                 position_m: pose.position_m,
                 latitude_deg: pose.latitude_deg,
                 longitude_deg: pose.longitude_deg,
+                cabin_position_m: pose.cabin_position_m,
                 heading_deg: pose.heading_deg,
                 semi_major_m: pose.ellipse95.semi_major_m,
                 mode: machine.health.as_ref().map(|health| health.report.mode),
+                gnss: machine.health.as_ref().map(|health| health.report.gnss),
             });
         }
     }

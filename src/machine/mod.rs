@@ -27,6 +27,7 @@
 
 mod audience;
 mod clock;
+mod configuration;
 mod counters;
 mod keeper;
 mod outbox;
@@ -124,6 +125,7 @@ impl Machine {
         let passes = if prepared.is_played() { speed } else { 1.0 };
         let imu_period = Duration::from_secs_f64(1.0 / machine.imu.update_rate / passes);
         let (pipeline, inlet) = Pipeline::start(halves, imu_period, outlets.clone(), Arc::clone(&counters))?;
+        configuration::answer(&session, &machine, boot).await?;
         let audience = Audience::watch(&session, &machine).await?;
         let surroundings = Surroundings { outlets, clock, counters: Arc::clone(&counters) };
         let feed = prepared.start(&session, &machine, inlet, surroundings, audience.present()).await?;

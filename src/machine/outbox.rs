@@ -12,6 +12,7 @@ use tokio::task::JoinHandle;
 use tokio::time::MissedTickBehavior;
 
 use super::clock::Clock;
+use super::configuration;
 use super::counters::Counters;
 use super::keeper::RecordInlet;
 use super::sender::{Packet, Sender};
@@ -23,8 +24,8 @@ use crate::sensors::Arrival;
 use crate::state::{Estimate, Event, GnssState, Health, Mode, Takeover};
 use crate::time::{Span, Stamp};
 use crate::wire::{
-    Attachment, BootId, JournalHead, JournalPage, Latency, MachineReport, PAGE_READINGS_MAX, RigidMotion,
-    RosMessage, Topic, encode_json, encode_reading, odom_message, pose_message,
+    Attachment, BootId, JournalPage, Latency, MachineReport, PAGE_READINGS_MAX, RigidMotion, RosMessage,
+    Topic, encode_json, encode_reading, odom_message, pose_message,
 };
 
 /// Estimates and readings on the way out: half a minute of them, for they are not in the record yet. What waits
@@ -160,9 +161,7 @@ pub(super) fn is_published(machine: &config::Machine, topic: Topic) -> bool {
 
 /// The journal begins with what the readings are estimated by, so that a recording can be run again alone.
 fn first_page(machine: &config::Machine, boot: BootId) -> JournalPage {
-    let software = env!("CARGO_PKG_VERSION").to_owned();
-    let head = JournalHead { software, machine_file: machine.to_toml() };
-    JournalPage { head: Some(Box::new(head)), ..JournalPage::new(boot, 0, 0) }
+    JournalPage { head: Some(Box::new(configuration::head(machine))), ..JournalPage::new(boot, 0, 0) }
 }
 
 /// What every report repeats.

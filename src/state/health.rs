@@ -131,7 +131,7 @@ const fn as_reported() -> [f64; 2] {
 
 /// How much an event matters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[cfg_attr(feature = "shells", derive(utoipa::ToSchema))]
+#[cfg_attr(feature = "shells", derive(utoipa::ToSchema), schema(as = EventSeverity))]
 #[serde(rename_all = "snake_case")]
 pub enum Severity {
     /// For the record.

@@ -1,5 +1,5 @@
-//! Zenoh keys: `holdfast/{site}/{machine}/{topic}`, the queryable `…/record/{boot}` and the liveliness token
-//! `…/alive/{boot}`.
+//! Zenoh keys: `holdfast/{site}/{machine}/{topic}`, the queryables `…/record/{boot}` and `…/configuration/{boot}`,
+//! and the liveliness token `…/alive/{boot}`.
 
 use super::{BootId, Topic};
 
@@ -14,6 +14,11 @@ pub fn topic_key(site: &str, machine: &str, topic: Topic) -> String {
 /// same id each answers for itself alone.
 pub fn record_key(site: &str, machine: &str, boot: BootId) -> String {
     format!("{ROOT}/{site}/{machine}/record/{boot}")
+}
+
+/// Where one run of a machine answers with what it runs and how it is configured, [`super::JournalHead`] as JSON.
+pub fn configuration_key(site: &str, machine: &str, boot: BootId) -> String {
+    format!("{ROOT}/{site}/{machine}/configuration/{boot}")
 }
 
 /// The liveliness token of one run of a machine.
@@ -110,6 +115,7 @@ mod tests {
         assert_eq!(alive, "holdfast/s/m/alive/00000000000000ff");
         assert_eq!(Key::parse(&alive), Ok(Key::Alive { site: "s", machine: "m", boot }));
         assert_eq!(record_key("s", "m", boot), "holdfast/s/m/record/00000000000000ff");
+        assert_eq!(configuration_key("s", "m", boot), "holdfast/s/m/configuration/00000000000000ff");
     }
 
     #[test]

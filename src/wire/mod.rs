@@ -21,7 +21,9 @@ pub use backfill::{BATCH_BYTES_MAX, Batch, HeldBoot, Holdings, Kept, Range, Reco
 pub use cdr::{CdrError, CdrReader, CdrWriter};
 pub use convert::{decode_reading, encode_reading, odom_message, pose_message};
 pub use journal::{JournalHead, JournalPage, PAGE_READINGS_MAX};
-pub use keys::{Key, KeyError, alive_key, alive_selector, record_key, topic_key, topic_selector};
+pub use keys::{
+    Key, KeyError, alive_key, alive_selector, configuration_key, record_key, topic_key, topic_selector,
+};
 pub use messages::{Header, Imu, JointState, NavSatFix, NavSatStatus, Odometry, RosMessage};
 pub use report::{
     Latency, MachineReport, OnBoardRecord, Origin, RigidMotion, decode_event, decode_journal_page,

@@ -6,6 +6,7 @@ import { Watched } from "./page.mjs";
 
 /** The account that the site has in the end. */
 export const ADMIN = { name: "anna", password: "a long password 1" };
+const SECOND = { name: "berta", password: "a long password 3" };
 const VIEWER = { name: "victor", password: "a long password 2" };
 
 export async function signInAs(page, { name, password }) {
@@ -41,17 +42,29 @@ export async function accounts({ checks, browser, origin, binary, data, screensh
     if (new URL(page.url()).pathname !== "/alerts") throw new Error(page.url());
     await watched.until(() => document.querySelector('[data-link="open"]') !== null, undefined, 10_000);
   });
-  await checks.check("an admin makes an account for somebody who may only look", async () => {
+  const toAccount = async () => {
     await menu().click();
     await page.getByRole("link", { name: "Account", exact: true }).click();
-    const form = page
-      .locator("section", { has: page.getByRole("heading", { name: "Accounts" }) })
-      .locator("form");
-    await form.getByLabel("Name").fill(VIEWER.name);
-    await form.getByLabel(/New password/).fill(VIEWER.password);
-    await form.getByRole("button", { name: "Add account" }).click();
-    await page.getByRole("rowheader", { name: VIEWER.name }).waitFor({ timeout: 10_000 });
-  });
+  };
+  await checks.check(
+    "an admin makes an account for somebody who may only look, and for another admin",
+    async () => {
+      await toAccount();
+      const form = page
+        .locator("section", { has: page.getByRole("heading", { name: "Accounts" }) })
+        .locator("form");
+      for (const [{ name, password }, role] of [
+        [VIEWER, "viewer"],
+        [SECOND, "admin"],
+      ]) {
+        await form.getByLabel("Name").fill(name);
+        await form.getByLabel("Role").selectOption(role);
+        await form.getByLabel(/New password/).fill(password);
+        await form.getByRole("button", { name: "Add account" }).click();
+        await page.getByRole("rowheader", { name }).waitFor({ timeout: 10_000 });
+      }
+    },
+  );
   await checks.check("a token for a program is shown once, works, and is revoked", async () => {
     await page.getByLabel("What for").fill("export at night");
     await page.getByRole("button", { name: "Make a token" }).click();
@@ -63,16 +76,37 @@ export async function accounts({ checks, browser, origin, binary, data, screensh
     await page
       .getByRole("cell", { name: "export at night", exact: true })
       .waitFor({ state: "detached", timeout: 10_000 });
+    if ((await page.locator(".secret").count()) > 0) throw new Error("it is still there to copy");
     return (await ask()) === 401;
   });
   await checks.check("axe has no serious findings: account", () => noFindings(watched));
   await watched.screenshot(screenshots, "account");
-  await checks.check("signing out closes the door behind one", async () => {
+  const signOut = async () => {
     await menu().click();
     await page.getByRole("button", { name: "Sign out" }).click();
     await page.getByRole("heading", { name: "Sign in" }).waitFor({ timeout: 10_000 });
+  };
+  await checks.check("signing out closes the door behind one", async () => {
+    await signOut();
     return (await page.request.get(`${origin}/api/v1/fleet`)).status() === 401;
   });
+  await checks.check(
+    "an admin who takes the role from herself is offered nothing of it any more",
+    async () => {
+      await signIn(SECOND);
+      await page.locator("header").waitFor({ timeout: 10_000 });
+      await toAccount();
+      const users = page.getByRole("heading", { name: "Accounts" });
+      await users.waitFor({ timeout: 10_000 });
+      await page.getByLabel(`Role of ${SECOND.name}`).selectOption("viewer");
+      await users.waitFor({ state: "detached", timeout: 10_000 });
+      await page
+        .locator("main")
+        .getByText(`Signed in as ${SECOND.name} (viewer)`)
+        .waitFor({ timeout: 5_000 });
+      await signOut();
+    },
+  );
   await checks.check("who may only look is offered nothing else", async () => {
     await signIn(VIEWER);
     await page.locator("header").waitFor({ timeout: 10_000 });

@@ -6,14 +6,31 @@ import { join } from "node:path";
 
 const require = createRequire(import.meta.url);
 
-/** A site without accounts or without a plan of its own has no such paths: the page asks, and goes on without. */
-const OPTIONAL = new Set(["/api/v1/me", "/api/v1/plan"]);
+/** A site without a plan of its own has no such path: the page asks, and goes on without. */
+const OPTIONAL = "/api/v1/plan";
+/** The page gives its own probe of the link two seconds, and then lets it go. */
+const PROBE = "/healthz";
+/** What a view had asked for is let go this close to the moment at which it is left. */
+const LEAVING_MS = 1_000;
 
 export class Watched {
   /** Requests to anywhere but the page's own origin. */
   foreign = [];
-  /** Errors on the console, uncaught ones, and violations of the content security policy. */
-  complaints = [];
+  #complaints = [];
+  /** Questions that were let go, and when. */
+  #letGo = [];
+  /** When the page went to another view, or wrote into its address what it shows. */
+  #left_ms = [];
+  #closed = false;
+  #answers = [];
+
+  /** Errors on the console, uncaught ones, violations of the content security policy, and requests that failed. */
+  get complaints() {
+    const unasked = this.#letGo.filter(
+      ({ at_ms }) => !this.#left_ms.some((left_ms) => Math.abs(left_ms - at_ms) <= LEAVING_MS),
+    );
+    return [...this.#complaints, ...unasked.map(({ url }) => `${url}: let go, but the page was not left`)];
+  }
 
   constructor(page, origin) {
     this.page = page;
@@ -26,16 +43,23 @@ export class Watched {
     page.on("websocket", (socket) => seen(socket.url()));
     page.on("worker", (worker) => seen(worker.url()));
     page.on("console", (message) => {
-      const notThere = OPTIONAL.has(new URL(message.location().url || origin).pathname);
-      if (message.type() === "error" && !notThere) this.complaints.push(message.text());
+      const notThere = new URL(message.location().url || origin).pathname === OPTIONAL;
+      if (message.type() === "error" && !notThere) this.#complaints.push(message.text());
     });
-    page.on("pageerror", (error) => this.complaints.push(error.message));
+    page.on("pageerror", (error) => this.#complaints.push(error.message));
+    page.on("response", (response) => this.#answers.push(response));
     page.on("requestfailed", (request) => {
       const reason = request.failure()?.errorText;
-      // Chromium says "aborted" only of what the page itself let go: its probe of the link after two seconds, and
-      // what was on its way when a view was left. What a server breaks off has other names.
-      const letGo = reason === "net::ERR_ABORTED";
-      if (!letGo) this.complaints.push(`${request.url()}: ${reason}`);
+      const url = request.url();
+      // Chromium says "aborted" only of what the page itself let go; what a server breaks off has other names.
+      if (reason !== "net::ERR_ABORTED" || request.method() !== "GET") {
+        this.#complaints.push(`${request.method()} ${url}: ${reason}`);
+      } else if (!this.#closed && new URL(url).pathname !== PROBE) {
+        this.#letGo.push({ url, at_ms: performance.now() });
+      }
+    });
+    page.on("framenavigated", (frame) => {
+      if (frame === page.mainFrame()) this.#left_ms.push(performance.now());
     });
   }
 
@@ -52,8 +76,15 @@ export class Watched {
     return watched;
   }
 
+  /** The answer to a question of the page, asked before or soon, by its address. */
+  async answered(isWanted, within_ms = 10_000) {
+    const known = this.#answers.find((response) => isWanted(response.url()));
+    return known ?? this.page.waitForResponse((response) => isWanted(response.url()), { timeout: within_ms });
+  }
+
   /** Leaves the browser to the others. */
   close() {
+    this.#closed = true;
     return this.page.context().close();
   }
 

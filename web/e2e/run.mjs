@@ -44,21 +44,16 @@ const demo = new Demo(options.holdfast, data);
 let browser = null;
 try {
   let origin = null;
-  let account = null;
   await checks.check("the demo prints its address within 5 s", async () => {
     origin = await demo.address();
   });
   if (origin !== null) {
     browser = await launch();
     await live(origin);
-    const known = JSON.parse(await readFile(new URL("../openapi.json", import.meta.url), "utf8"));
     // The demo ends with accounts on the site, so this comes late; the ending is watched by somebody signed in.
-    if (known.paths["/api/v1/sign-in"] !== undefined) {
-      const { holdfast: binary, screenshots } = options;
-      await accounts({ checks, browser, origin, binary, data, screenshots, noFindings });
-      account = ADMIN;
-    }
-    await ending(origin, account);
+    const { holdfast: binary, screenshots } = options;
+    await accounts({ checks, browser, origin, binary, data, screenshots, noFindings });
+    await ending(origin);
   }
 } finally {
   await browser?.close();
@@ -141,6 +136,13 @@ async function live(origin) {
       HOLDING_WITHIN_MS,
     );
   });
+  await checks.check("the alert of it says how long until now, not until it was raised", async () => {
+    await page
+      .locator("[data-alert-bar]", {
+        hasText: /: (GNSS \w+ silent|without good GNSS) for 0:[1-5]\d\s*since /,
+      })
+      .waitFor({ timeout: 5_000 });
+  });
   await watched.screenshot(options.screenshots, "live");
   if (options.screenshots !== undefined) await otherLooks(watched);
 
@@ -185,7 +187,31 @@ async function live(origin) {
   await checks.check("axe has no serious findings, light", () => noFindings(watched));
   await views({ checks, watched, origin, ids, screenshots: options.screenshots, nothing, noFindings });
 
+  await checks.check("the language is chosen on the page, and kept", async () => {
+    await page.locator("header .menu summary").click();
+    await page.getByLabel("Language").selectOption("de");
+    await page.getByRole("heading", { level: 2, name: "Maschinen" }).waitFor({ timeout: 5_000 });
+    await page.reload();
+    await page.getByRole("heading", { level: 2, name: "Maschinen" }).waitFor({ timeout: 10_000 });
+    if ((await page.evaluate(() => document.documentElement.lang)) !== "de") return false;
+    await page.locator("header .menu summary").click();
+    await page.getByLabel("Sprache").selectOption("en");
+    await page.getByRole("heading", { level: 2, name: "Machines" }).waitFor({ timeout: 5_000 });
+    await page.keyboard.press("Escape");
+  });
+
   const dark = await Watched.open(browser, origin, { colorScheme: "dark", path: "/?lang=de" });
+  await checks.check("a page that is opened later asks where the machines came from", async () => {
+    const asked = async (id) => {
+      const path = `/api/v1/machines/${id}/trajectory?`;
+      const response = await dark.answered((url) => url.includes(path));
+      const { points } = await response.json();
+      const last = points.at(-1);
+      if (points.length < 30 || last.cabin_position_m.length !== 3 || last.gnss === null)
+        throw new Error(`${id}: ${points.length} points, the last ${JSON.stringify(last)}`);
+    };
+    for (const id of ids) await asked(id);
+  });
   await dark.card(ids[0]).locator(".card-head").click();
   await checks.check("the page speaks German, and draws in the dark", async () => {
     await dark.page.getByText("Maschinen").first().waitFor({ timeout: 2_000 });
@@ -260,17 +286,31 @@ async function killOne(watched) {
       10_000,
     );
   });
+  await checks.check("its own page says what it rested on then, not now", async () => {
+    const id = await lost.getAttribute("data-machine");
+    const own = await Watched.open(browser, watched.origin, { path: `/machines/${id}` });
+    await own.page
+      .locator(".takes-part.stale", { hasText: /^Took part when it was last heard, .+ ago: .*Cabin IMU/ })
+      .waitFor({ timeout: 10_000 });
+    await own.close();
+  });
   await checks.check("the other machine goes on", async () => {
     return (await watched.page.locator('.card[data-presence="online"]').count()) === 1;
   });
   await watched.screenshot(options.screenshots, "machine-lost");
 }
 
-async function ending(origin, account) {
+async function ending(origin) {
   const watched = await Watched.open(browser, origin);
-  if (account !== null) await signInAs(watched.page, account);
+  await signInAs(watched.page, ADMIN);
   await watched.page.locator(".card[data-machine]").first().waitFor({ timeout: 10_000 });
   await painted(watched.page);
+  const alive = watched.page.locator('.card[data-presence="online"]').first();
+  const own = await Watched.open(browser, origin, {
+    path: `/machines/${await alive.getAttribute("data-machine", { timeout: 10_000 })}`,
+  });
+  await signInAs(own.page, ADMIN);
+  await own.page.locator(".takes-part", { hasText: "Take part now" }).waitFor({ timeout: 10_000 });
   await checks.check("Ctrl-C ends the demo with exit 0", async () => {
     const { code, signal } = await demo.interrupt(END_WITHIN_MS);
     if (code !== 0) throw new Error(`it ended with ${code ?? signal}`);
@@ -281,10 +321,37 @@ async function ending(origin, account) {
         document.querySelector('[data-link="lost"]') !== null &&
         document.querySelector('[data-banner="link"]') !== null &&
         document.querySelectorAll(".card:not(.stale-card)").length === 0 &&
-        document.querySelectorAll(".card > .fields .field:not(.stale)").length === 0,
+        document.querySelectorAll(".card > .fields .field:not(.stale)").length === 0 &&
+        // The machine that was killed is without a link, so that there is a line.
+        document.querySelectorAll(".budget").length > 0 &&
+        document.querySelectorAll(".budget:not(.stale)").length === 0,
       undefined,
       10_000,
     );
+  });
+  await checks.check("so does the page of a machine: numbers, sensors, rates, clock", async () => {
+    await own.until(
+      () => {
+        const fields = [...document.querySelectorAll(".machine-facts .field")];
+        const aged = (name) =>
+          fields.some(
+            (field) => field.querySelector("dt").textContent === name && field.classList.contains("stale"),
+          );
+        return (
+          ["Poses received", "Missed messages", "Clock offset", "Worst test ratio"].every(aged) &&
+          /^Took part/.test(document.querySelector(".takes-part.stale")?.textContent ?? "") &&
+          document.querySelector("table.sensors.stale") !== null &&
+          document.querySelectorAll(".budget:not(.stale)").length === 0
+        );
+      },
+      undefined,
+      10_000,
+    );
+    await own.close();
+  });
+  await checks.check("what is said aloud of the loss holds no seconds that tick", async () => {
+    const said = await watched.page.locator('[data-banner="link"] [role="alert"]').innerText();
+    if (/\d/.test(said)) throw new Error(said);
   });
   await watched.screenshot(options.screenshots, "site-lost");
   await checks.check("the recording is left, and is not empty", async () => {

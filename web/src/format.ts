@@ -1,6 +1,8 @@
 /** The one place that turns values into words for people: units, zones, decimal signs. */
 
 const NO_VALUE = "–";
+/** More decimals have no room beside a plot. */
+const AXIS_DIGITS_MAX = 5;
 
 export class Format {
   private readonly decimals: Intl.NumberFormat[];
@@ -10,6 +12,7 @@ export class Format {
   private readonly minutes: Intl.DateTimeFormat;
   private readonly seconds: Intl.DateTimeFormat;
   private readonly dayOnly: Intl.DateTimeFormat;
+  private readonly calendarDay: Intl.DateTimeFormat;
 
   /** `locale` gives the decimal sign and order of dates; `zone` (IANA) is the browser's unless given. */
   constructor(
@@ -33,6 +36,7 @@ export class Format {
     this.minutes = new Intl.DateTimeFormat(dateLocale, { ...short, ...timeZone });
     this.seconds = new Intl.DateTimeFormat(dateLocale, { ...clock, ...timeZone });
     this.dayOnly = new Intl.DateTimeFormat(dateLocale, { day: "numeric", month: "short", ...timeZone });
+    this.calendarDay = new Intl.DateTimeFormat("en-CA", { dateStyle: "short", ...timeZone });
     this.dateAndClock = new Intl.DateTimeFormat(dateLocale, {
       year: "numeric",
       month: "short",
@@ -49,6 +53,18 @@ export class Format {
     const scale = 10 ** digits;
     const rounded = Math.round(value * scale) / scale;
     return (this.decimals[digits] ?? this.whole).format(rounded === 0 ? 0 : rounded);
+  }
+
+  /** Ticks of an axis: as many decimals for all as tell them apart from what lies between them. */
+  axis(values: readonly number[]): string[] {
+    const step = Math.abs((values[1] ?? values[0] ?? 0) - (values.length > 1 ? (values[0] ?? 0) : 0));
+    const exact = (digits: number) =>
+      values.every(
+        (value) => Math.abs(value - Math.round(value * 10 ** digits) / 10 ** digits) <= step / 100,
+      );
+    let digits = 0;
+    while (digits < AXIS_DIGITS_MAX && !exact(digits)) digits += 1;
+    return values.map((value) => this.number(value, digits));
   }
 
   count(value: number): string {
@@ -127,6 +143,12 @@ export class Format {
   /** Date and time of day with its zone. */
   dateTime(time_ms: number | null): string {
     return time_ms === null ? NO_VALUE : this.dateAndClock.format(time_ms);
+  }
+
+  /** When something was: the time of day, and the date as well if it was not today. */
+  moment(time_ms: number, now_ms: number): string {
+    const today = this.calendarDay.format(time_ms) === this.calendarDay.format(now_ms);
+    return today ? this.timeOfDay(time_ms) : this.dateTime(time_ms);
   }
 
   /** For axes, under which the zone is printed once: a time of day, or the date where ticks are days apart. */

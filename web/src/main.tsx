@@ -1,19 +1,22 @@
 /** Puts the page together: the live connection feeds the store, the store feeds the components. */
 
-import { computed, effect } from "@preact/signals";
+import { computed, effect, signal } from "@preact/signals";
 import { render } from "preact";
 
 import { fetchMe } from "./api/accounts";
 import { whenUnknown } from "./api/http";
 import { browserSurroundings, Live } from "./api/live";
+import { fetchTrajectory } from "./api/machines";
+import type { FleetView } from "./api/types";
 import { App } from "./app";
 import { closeMenus } from "./components/menus";
 import { Format } from "./format";
-import { followBrowser, go, paths, route } from "./route";
+import { followBrowser, go, note, paths, route } from "./route";
 import { takeAlerts } from "./store/alerts";
 import { DeskContext, keptChoices } from "./store/context";
 import { me, setMe } from "./store/people";
 import { Store } from "./store/store";
+import { TAIL_SPAN_MS } from "./store/trace";
 import "./style.css";
 import "./views.css";
 import "./plan/plan.css";
@@ -34,6 +37,7 @@ const live = new Live(
       lastHeard_ms = performance.now();
       store.takeSnapshot(message);
       store.setLink({ phase: "open", since_ms: lastHeard_ms });
+      void recall(message.fleet);
     },
     delta(message) {
       lastHeard_ms = performance.now();
@@ -50,13 +54,37 @@ const live = new Live(
   browserSurroundings(),
 );
 
-const wished = new URLSearchParams(window.location.search).get("lang");
-const text = chooseText([...(wished === null ? [] : [wished]), ...navigator.languages]);
-document.documentElement.lang = text.language;
-
 const choices = keptChoices(window.localStorage);
+// An address that names a language is a choice, for this visit alone.
+const named = signal(new URLSearchParams(window.location.search).get("lang") ?? "");
+const text = computed(() => chooseText([named.value, choices.language.value, ...navigator.languages]));
+const choose = (language: string) => {
+  choices.language.value = language;
+  named.value = "";
+  note("lang", null);
+};
+effect(() => {
+  document.documentElement.lang = text.value.language;
+});
 const zone = computed(() => (choices.utc.value ? "UTC" : store.calm.value.site?.time_zone));
-const format = computed(() => new Format(text.language, zone.value));
+const format = computed(() => new Format(text.value.language, zone.value));
+
+const recalled = new Set<string>();
+
+/** Where machines came from before the page was opened: asked once of each, one after the other. */
+async function recall({ machines, time }: FleetView): Promise<void> {
+  const since = new Date(Date.parse(time) - TAIL_SPAN_MS).toISOString();
+  for (const { id } of machines) {
+    if (recalled.has(id)) continue;
+    recalled.add(id);
+    try {
+      const { points } = await fetchTrajectory(id, since);
+      if (!store.recall(id, points)) recalled.delete(id);
+    } catch {
+      // Then its tail begins now.
+    }
+  }
+}
 
 let speaking = false;
 
@@ -91,7 +119,7 @@ effect(() => {
 const page = document.getElementById("page");
 if (page === null) throw new Error("index.html has no place for the page");
 render(
-  <SpeechContext.Provider value={{ text, format }}>
+  <SpeechContext.Provider value={{ text, format, choose }}>
     <DeskContext.Provider value={{ store, choices }}>
       <App />
     </DeskContext.Provider>

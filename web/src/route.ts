@@ -60,16 +60,11 @@ export const paths = {
   signIn: (next?: string) => keepLanguage("/sign-in", next === undefined ? {} : { next }),
 };
 
-/** What a person chose in the address goes along to the next view. */
-const KEPT = ["lang", "plan"] as const;
-
+/** The language that a person chose in the address goes along to the next view. */
 function keepLanguage(path: string, query: Record<string, string> = {}): string {
-  const now = new URLSearchParams(window.location.search);
   const next = new URLSearchParams(query);
-  for (const name of KEPT) {
-    const value = now.get(name);
-    if (value !== null) next.set(name, value);
-  }
+  const language = new URLSearchParams(window.location.search).get("lang");
+  if (language !== null) next.set("lang", language);
   return next.size === 0 ? path : `${path}?${next}`;
 }
 

@@ -1,7 +1,7 @@
 import { describe, expect, it } from "vitest";
 
-import { checkLiveMessage, checkSessions } from "../src/api/check";
-import { delta, machineView, poseView, snapshot } from "./views";
+import { checkEvents, checkLiveMessage, checkSessions } from "../src/api/check";
+import { delta, machineView, poseView, snapshot, TIME } from "./views";
 
 /** As it arrives: through JSON. */
 const arrive = (message: unknown) => checkLiveMessage(JSON.parse(JSON.stringify(message)), "message");
@@ -47,6 +47,40 @@ describe("messages on arrival", () => {
   it("are refused when a time cannot be read", () => {
     expect(() => arrive({ ...delta(1, []), time: "yesterday" })).toThrow(
       "message.time: expected an RFC 3339 time",
+    );
+  });
+});
+
+describe("events", () => {
+  const arriving = (event: unknown) =>
+    checkEvents({ session: "s", events: [{ time: TIME, machine: "a", event }], left_out: 0 }, "answer");
+  const head = { stamp_ns: 7, severity: "warning" };
+
+  it("have the fields of their kind, and no others", () => {
+    const began = { ...head, kind: "outage_began", cause: "silent" };
+    expect(arriving({ ...began, novelty: 1 }).events[0]?.event).toEqual(began);
+    const ended = {
+      ...head,
+      kind: "outage_ended",
+      start_stamp_ns: 1,
+      end_stamp_ns: 5,
+      cause: "frozen",
+      travelled_m: 3.5,
+      jump_m: null,
+    };
+    expect(arriving(ended).events[0]?.event).toEqual(ended);
+  });
+
+  it("are refused when a field of their kind is missing or wrong", () => {
+    expect(() => arriving({ ...head, kind: "outage_began" })).toThrow("events[0].event.cause");
+    expect(() => arriving({ ...head, kind: "mode_changed", from: "main", to: "sideways" })).toThrow(
+      "event.to: expected one of",
+    );
+    expect(() => arriving({ ...head, kind: "refused", sensor: "imu", reason: "late" })).toThrow(
+      "event.count",
+    );
+    expect(() => arriving({ ...head, severity: "bad", kind: "restarted", reason: "" })).toThrow(
+      "event.severity",
     );
   });
 });

@@ -1,7 +1,7 @@
 import { describe, expect, it, vi } from "vitest";
 
 // The room reads the address when it is loaded, as it does in a browser.
-vi.stubGlobal("window", { location: { pathname: "/", search: "?lang=de" } });
+vi.stubGlobal("window", { location: { pathname: "/", search: "?lang=de&plan=old" } });
 const { parseRoute, paths } = await import("../src/route");
 
 describe("the address", () => {

@@ -13,6 +13,7 @@ function stateOf(view: MachineView, trace = new Trace(view.boot)): State {
     link: { phase: "open", since_ms: 0 },
     site: { id: "site", name: "Site", time_zone: "UTC", world: WORLD, software: "0" },
     siteTime_ms: 0,
+    told_ms: 0,
     machines: new Map([[view.id, machine]]),
     unreadable: { count: 0, last: null },
   };

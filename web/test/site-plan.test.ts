@@ -39,7 +39,7 @@ describe("the site's plan", () => {
   });
 
   it("says what is wrong with a file that is no plan", () => {
-    expect(() => readPlan({}, frame)).toThrow("no list of features");
+    expect(() => readPlan({}, frame)).toThrow("plan.features: expected a list");
     expect(() => readPlan({ features: [feature("Point", ["8", 47])] }, frame)).toThrow(
       "longitude and latitude",
     );

@@ -1,6 +1,6 @@
 import { describe, expect, it } from "vitest";
 
-import { healthAge_s, isStale, poseAge_s } from "../src/store/freshness";
+import { healthAge_s, healthIsFresh, isStale, poseAge_s, siteAge_s } from "../src/store/freshness";
 import { Store } from "../src/store/store";
 import { delta, machineView, poseView, snapshot } from "./views";
 
@@ -72,7 +72,23 @@ describe("the store", () => {
     if (machine === undefined) throw new Error("the machine is gone");
     expect(poseAge_s(state, machine)).toBeCloseTo(3.05, 9);
     expect(healthAge_s(state, machine)).toBeCloseTo(3.4, 9);
+    expect(healthIsFresh(state, machine)).toBe(false);
+    expect(siteAge_s(state)).toBeCloseTo(3, 9);
     expect(state.siteTime_ms).toBe(Date.parse("2026-11-23T05:00:03.123Z"));
+  });
+
+  it("lets what the site itself counts stay young while it speaks of others", () => {
+    const { store, clock, frame } = bench();
+    expect(siteAge_s(store.state.value)).toBeNull();
+    store.takeSnapshot(snapshot([machineView()]));
+    frame();
+    clock.now_ms += 3000;
+    store.takeDelta(delta(1, []));
+    frame();
+    const machine = store.state.value.machines.get("a");
+    if (machine === undefined) throw new Error("the machine is gone");
+    expect(siteAge_s(store.state.value)).toBe(0);
+    expect(healthIsFresh(store.state.value, machine)).toBe(false);
   });
 
   it("draws everything as out of date when the site is lost, without changing the site's words", () => {

@@ -35,6 +35,33 @@ describe("a machine's trace", () => {
     expect(trace.tail.map((point) => point.starts)).toEqual([true, true, true]);
   });
 
+  it("goes on from where the site says that the machine was before, and no further back than a tail", () => {
+    const trace = new Trace("boot");
+    trace.add(at(10, 1, "silent"), 400_000);
+    trace.add(at(11, 2, "silent"), 400_100);
+    const earlier = (east_m: number, time_ms: number, gnss: GnssState) => ({
+      at: [east_m, 0] as const satisfies readonly [number, number],
+      time_ms,
+      gnss,
+    });
+    trace.precede([
+      earlier(1, 99_000, "fixed"),
+      earlier(7, 397_000, "fixed"),
+      earlier(7.02, 398_000, "fixed"),
+      earlier(8, 399_000, "silent"),
+      earlier(99, 400_000, "silent"),
+    ]);
+    expect(trace.tail.map((point) => point.at[0])).toEqual([7, 8, 10, 11]);
+    expect(trace.tail.map((point) => point.starts)).toEqual([true, false, false, false]);
+  });
+
+  it("does not join what lies too long before", () => {
+    const trace = new Trace("boot");
+    trace.add(at(10, 1), 400_000);
+    trace.precede([{ at: [7, 0], time_ms: 390_000, gnss: "fixed" }]);
+    expect(trace.tail.map((point) => point.starts)).toEqual([true, true]);
+  });
+
   it("takes the same pose once", () => {
     const trace = new Trace("boot");
     trace.add(at(0, 1), 0);

@@ -39,6 +39,8 @@ use webhook::Hook;
 const COMMANDS_QUEUED: usize = 16;
 /// Room on the disk is looked at so often: frames.
 const DISK_EVERY: u64 = 50;
+/// While an alert goes on, the worst of it is told so often: frames.
+const WORST_EVERY: u64 = 10;
 /// More changes that the archive cannot take are given up, the oldest first.
 const UNKEPT_MAX: usize = 10_000;
 /// A receiver may take so long.
@@ -225,7 +227,7 @@ impl Watcher {
         let mut stopped = self.site.stopped.clone();
         let mut frames = self.site.frames.clone();
         let mut state = SiteState { tolerance_m: self.site.tolerance_m, ..SiteState::default() };
-        let mut disk_due = 0;
+        let (mut disk_due, mut worst_due) = (0, 0);
         let mut unrecorded_since = None;
         loop {
             tokio::select! {
@@ -262,10 +264,25 @@ impl Watcher {
                             tracing::warn!("alert {}: {}: {}", alert.id, alert.state.name(), alert.message);
                         });
                         self.tell(changed).await;
+                    } else if frame.number >= worst_due {
+                        worst_due = frame.number + WORST_EVERY;
+                        self.tell_worst();
                     }
                 }
             }
         }
+    }
+
+    /// The clock and the numbers of those that go on; nothing is written, and nobody is written to.
+    fn tell_worst(&self) {
+        let open = self.alerts.open();
+        self.open.send_if_modified(|told| {
+            let grew = **told != open;
+            if grew {
+                *told = Arc::new(open);
+            }
+            grew
+        });
     }
 
     /// Keeps what changed, then tells it. What cannot be kept is tried again with the disk's room, or the next change.

@@ -1,5 +1,7 @@
 //! Alerts: the list, who saw them, and whether they arrive.
 
+use std::sync::Arc;
+
 use axum::Json;
 use axum::body::Bytes;
 use axum::extract::rejection::{BytesRejection, PathRejection};
@@ -15,7 +17,7 @@ use super::outages::ask;
 use super::problem::Problem;
 use super::query::{bad, limit, time};
 use super::visitor::Visitor;
-use crate::fleet::{AlertState, AlertView, RuleKind, Unacknowledged};
+use crate::fleet::{Alert, AlertState, AlertView, RuleKind, Unacknowledged};
 use crate::site::alerts::{Acknowledge, Letter, test_alert};
 use crate::site::history::{AlertFilter, Cursor};
 
@@ -103,7 +105,13 @@ pub(super) async fn list(
         limit: limit(query.limit)?,
     };
     let (alerts, next) = ask(&shared, move |archive| archive.alerts(&filter)).await?;
-    let alerts = alerts.iter().map(AlertView::from).collect();
+    // The archive has what an alert was when it last changed; the worst of one that goes on grows on.
+    let open = Arc::clone(&shared.alerts.open.borrow());
+    let newest = alerts.iter().map(|alert| {
+        let same = |newer: &&Alert| newer.id == alert.id && newer.changed == alert.changed;
+        AlertView::from(open.iter().find(same).unwrap_or(alert))
+    });
+    let alerts = newest.collect();
     Ok(Json(AlertsView { alerts, next: next.map(|cursor| cursor.encode()) }))
 }
 

@@ -62,7 +62,8 @@ pub(super) enum LiveMessage {
         /// Deltas that were skipped since the last message, because this client was slow.
         dropped: u64,
     },
-    /// To clients that asked for alerts, at once and whenever one changes: all that are not both over and seen.
+    /// To clients that asked for alerts, at once and whenever one changes, each second while the worst of one grows:
+    /// all that are not both over and seen.
     Alerts {
         /// One more than in the last message.
         seq: u64,

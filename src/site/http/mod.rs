@@ -6,6 +6,7 @@ mod api;
 mod assets;
 mod audit;
 mod buckets;
+mod configuration;
 mod docs;
 mod door;
 mod download;
@@ -159,6 +160,7 @@ fn routes() -> Routes {
         .viewer(routes!(tracks::track))
         .viewer(routes!(tracks::events))
         .viewer(routes!(hour::history))
+        .viewer(routes!(configuration::configuration))
         .viewer(routes!(export::export))
         .viewer(routes!(foxglove::foxglove))
         .viewer(routes!(aemp::fleet))

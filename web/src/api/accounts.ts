@@ -58,15 +58,12 @@ const users: Check<{ users: User[] }> = object<{ users: User[] }>({ users: list(
 const tokens: Check<{ tokens: Token[] }> = object<{ tokens: Token[] }>({ tokens: list(token) });
 const newToken = object<NewToken>({ secret: text, token });
 
-const EVERYBODY: Me = { accounts: false, name: null, role: "admin", token: null, expires: null };
-
-/** Who asks. A site that knows no accounts has no such path: everybody may do everything there. */
+/** Who asks. */
 export async function fetchMe(): Promise<Me | "nobody"> {
   try {
     return await askFor("/api/v1/me", checkMe);
   } catch (error) {
     if (error instanceof ApiError && error.status === 401) return "nobody";
-    if (error instanceof ApiError && error.status === 404) return EVERYBODY;
     throw error;
   }
 }

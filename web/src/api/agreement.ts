@@ -7,7 +7,18 @@ import type { Me, NewToken, Token, User } from "./accounts";
 import type { AlertsView } from "./alerts";
 import type { components } from "./generated";
 import type { OutageDetail, OutagesView, Statistics } from "./outages";
-import type { FleetView, HistoryView, LiveMessage, MachineView, SessionsView, TrackAnswer } from "./types";
+import type { ShadowCell } from "./shadow-map";
+import type {
+  ConfigurationView,
+  EventsAnswer,
+  FleetView,
+  HistoryView,
+  LiveMessage,
+  MachineView,
+  SessionsView,
+  TrackAnswer,
+  TrajectoryView,
+} from "./types";
 
 type Schemas = components["schemas"];
 
@@ -27,10 +38,14 @@ export type Agreement = [
   Holds<Same<LiveMessage, Schemas["LiveMessage"]>>,
   Holds<Same<SessionsView, Schemas["SessionsView"]>>,
   Holds<Same<TrackAnswer, Schemas["TrackAnswer"]>>,
+  Holds<Same<EventsAnswer, Schemas["EventsAnswer"]>>,
   Holds<Same<HistoryView, Schemas["HistoryView"]>>,
+  Holds<Same<TrajectoryView, Schemas["TrajectoryView"]>>,
+  Holds<Same<ConfigurationView, Schemas["ConfigurationView"]>>,
   Holds<Same<OutagesView, Schemas["OutagesView"]>>,
   Holds<Same<OutageDetail, Schemas["OutageDetail"]>>,
   Holds<Same<Statistics, Schemas["Statistics"]>>,
+  Holds<Same<ShadowCell, Schemas["ShadowProperties"]>>,
   Holds<Same<AlertsView, Schemas["AlertsView"]>>,
   Holds<Same<Me, Schemas["MeView"]>>,
   Holds<Same<User, Schemas["UserView"]>>,

@@ -70,15 +70,33 @@ export const checkAlert: Check<AlertView> = object<AlertView>({
 
 const checkAlerts = object<AlertsView>({ alerts: list(checkAlert), next: nullable(text) });
 
-export interface AlertFilter {
-  machine?: string | null;
-  rule?: AlertRule | null;
-  state?: AlertState | null;
-  cursor?: string | null;
+const PAGE = 200;
+const OPEN_PAGES_MAX = 5;
+/** Of these somebody should still know. */
+const OPEN_STATES = ALERT_STATES.filter((state) => state !== "cleared");
+
+/** So many pages of those that are in a state, newest first, and whether there are more. */
+export async function fetchAlerts(
+  state: AlertState | null,
+  pages: number,
+  signal: AbortSignal,
+): Promise<{ alerts: AlertView[]; more: boolean }> {
+  const alerts: AlertView[] = [];
+  let cursor: string | null = null;
+  for (let page = 0; page < pages; page += 1) {
+    const path: string = withQuery("/api/v1/alerts", { state, limit: PAGE, cursor });
+    const answer: AlertsView = await askFor(path, checkAlerts, { signal });
+    alerts.push(...answer.alerts);
+    cursor = answer.next;
+    if (cursor === null) break;
+  }
+  return { alerts, more: cursor !== null };
 }
 
-export function fetchAlerts(filter: AlertFilter): Promise<AlertsView> {
-  return askFor(withQuery("/api/v1/alerts", { ...filter, limit: 200 }), checkAlerts);
+/** Those that are open, for a page that has no live connection to hear of them. */
+export async function fetchOpenAlerts(signal: AbortSignal): Promise<AlertView[]> {
+  const answers = await Promise.all(OPEN_STATES.map((state) => fetchAlerts(state, OPEN_PAGES_MAX, signal)));
+  return answers.flatMap(({ alerts }) => alerts);
 }
 
 export function acknowledge(id: string, note: string): Promise<AlertView> {

@@ -22,16 +22,21 @@ import {
 import {
   type AlertsMessage,
   type Budget,
+  type ConfigurationView,
   type CurrentOutage,
   type Delta,
   type Ellipse95,
   EVENT_KINDS,
   EVENT_SEVERITIES,
+  type EventDetail,
+  type EventKind,
+  type EventSeverity,
   type EventsAnswer,
   FIX_STATES,
   type FleetView,
   GNSS_STATES,
   type GnssView,
+  GRAPHS,
   type Health,
   type HealthView,
   type HistoryView,
@@ -61,6 +66,8 @@ import {
   type Snapshot,
   type StatePoint,
   type TrackAnswer,
+  type TrailPoint,
+  type TrajectoryView,
   type WorldOrigin,
 } from "./types";
 
@@ -252,6 +259,32 @@ const statePoint = object<StatePoint>({
   pose_rate_hz: nullable(number),
 });
 
+const trailPoint = object<TrailPoint>({
+  time,
+  stamp: time,
+  position_m: vector3,
+  latitude_deg: number,
+  longitude_deg: number,
+  cabin_position_m: vector3,
+  heading_deg: number,
+  semi_major_m: number,
+  mode: nullable(oneOf(MODES)),
+  gnss: nullable(oneOf(GNSS_STATES)),
+});
+
+export const checkTrajectory = object<TrajectoryView>({
+  machine: text,
+  points: list(trailPoint),
+  next: nullable(time),
+});
+
+export const checkConfiguration = object<ConfigurationView>({
+  machine: text,
+  boot: text,
+  software: text,
+  machine_file: text,
+});
+
 export const checkHistory = object<HistoryView>({
   machine: text,
   start: nullable(time),
@@ -300,15 +333,30 @@ export const checkTrack = object<TrackAnswer>({
   machines: list(machineTrack),
 });
 
-/** Fields beside these three depend on the kind, and are taken as they come. */
-const machineEvent: Check<MachineEvent> = (value, path) => ({
-  ...(record(value, path) as Partial<MachineEvent>),
-  ...object<Pick<MachineEvent, "stamp_ns" | "severity" | "kind">>({
-    stamp_ns: number,
-    severity: oneOf(EVENT_SEVERITIES),
-    kind: oneOf(EVENT_KINDS),
-  })(value, path),
+/** By its kind, the fields of an event. */
+type Detail<Kind extends EventKind> = Omit<Extract<EventDetail, { kind: Kind }>, "kind">;
+const eventDetails: { [Kind in EventKind]: Check<Detail<Kind>> } = {
+  mode_changed: object<Detail<"mode_changed">>({ from: oneOf(MODES), to: oneOf(MODES) }),
+  graph_changed: object<Detail<"graph_changed">>({ from: oneOf(GRAPHS), to: oneOf(GRAPHS), reason: text }),
+  gnss_changed: object<Detail<"gnss_changed">>({ from: oneOf(GNSS_STATES), to: oneOf(GNSS_STATES) }),
+  initialized: object<Detail<"initialized">>({ heading_from: text, heading_sigma_deg: number }),
+  refused: object<Detail<"refused">>({ sensor: oneOf(SENSORS), count: number, reason: text }),
+  outage_began: object<Detail<"outage_began">>({ cause: oneOf(GNSS_STATES) }),
+  outage_ended: outage,
+  restarted: object<Detail<"restarted">>({ reason: text }),
+};
+
+const eventHead = object<{ stamp_ns: number; severity: EventSeverity; kind: EventKind }>({
+  stamp_ns: number,
+  severity: oneOf(EVENT_SEVERITIES),
+  kind: oneOf(EVENT_KINDS),
 });
+
+const machineEvent: Check<MachineEvent> = (value, path) => {
+  const head = eventHead(value, path);
+  // Each kind has its fields by the table above; the compiler does not follow that through a union.
+  return { ...head, ...eventDetails[head.kind](value, path) } as MachineEvent;
+};
 
 const sessionEvent = object<SessionEvent>({ time, machine: text, event: machineEvent });
 

@@ -4,6 +4,9 @@ import type { Vector3 } from "./types";
 
 /** What is wrong with a message, and where. */
 export class MessageError extends Error {
+  /** What is there, cut short. */
+  readonly found: string;
+
   constructor(
     readonly path: string,
     expected: string,
@@ -11,6 +14,7 @@ export class MessageError extends Error {
   ) {
     super(`${path}: expected ${expected}, found ${describe(found)}`);
     this.name = "MessageError";
+    this.found = describe(found);
   }
 }
 

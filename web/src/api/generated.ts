@@ -197,6 +197,23 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/machines/{id}/configuration": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** What runs on a machine, and how it is configured: the machine itself is asked. */
+        get: operations["machine_configuration"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/machines/{id}/history": {
         parameters: {
             query?: never;
@@ -819,6 +836,17 @@ export interface components {
             /** @description What it said, or why it was not told. */
             said: string;
         };
+        /** @description What runs on a machine, and how it is configured. */
+        ConfigurationView: {
+            /** @description The start of the machine's software that answered. */
+            boot: string;
+            /** @description As in keys. */
+            machine: string;
+            /** @description The machine file, TOML, with all defaults. */
+            machine_file: string;
+            /** @description Version of its software. */
+            software: string;
+        };
         /** @description The outage that goes on, with what is left. */
         CurrentOutage: {
             budget?: components["schemas"]["Budget"] | null;
@@ -881,7 +909,7 @@ export interface components {
         /** @description One event of a machine. */
         Event: components["schemas"]["EventKind"] & {
             /** @description How much it matters. */
-            severity: components["schemas"]["Severity"];
+            severity: components["schemas"]["EventSeverity"];
             /**
              * Format: int64
              * @description When, by the machine's stamps, ns.
@@ -948,6 +976,11 @@ export interface components {
             /** @description Why. */
             reason: string;
         };
+        /**
+         * @description How much an event matters.
+         * @enum {string}
+         */
+        EventSeverity: "info" | "warning" | "error";
         /** @description What happened in a session. */
         EventsAnswer: {
             /** @description In order of time, 5000 at most. */
@@ -2106,6 +2139,9 @@ export interface components {
         };
         /** @description Where a machine was at one time. */
         TrailPoint: {
+            /** @description Of the cabin's axis in the site frame: east, north, up, m. */
+            cabin_position_m: number[];
+            gnss?: components["schemas"]["GnssState"] | null;
             /**
              * Format: double
              * @description Of the cabin's x axis: 0 is the site's north, clockwise, [0, 360).
@@ -2880,6 +2916,49 @@ export interface operations {
             429: components["responses"]["TooMany"];
             500: components["responses"]["Failed"];
             503: components["responses"]["Unavailable"];
+        };
+    };
+    machine_configuration: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The machine's id */
+                id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ConfigurationView"];
+                };
+            };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
         };
     };
     machine_history: {

@@ -1,13 +1,24 @@
 /** Requests to the site: JSON in and out, problem details as errors, and who is told that nobody is signed in. */
 
-/** What the site answered instead of what was asked for. */
+/** What the site answered instead of what was asked for; `detail` is in its own words, if it has any. */
 export class ApiError extends Error {
   constructor(
     readonly status: number,
-    detail: string,
+    readonly detail: string | null,
   ) {
-    super(detail);
+    super(detail ?? String(status));
     this.name = "ApiError";
+  }
+}
+
+/** Nothing came back: the site was not reached, or took too long. */
+export class NoAnswer extends Error {
+  constructor(
+    readonly why: "unreachable" | "late",
+    cause: unknown,
+  ) {
+    super(why, { cause });
+    this.name = "NoAnswer";
   }
 }
 
@@ -43,7 +54,10 @@ export async function ask(path: string, options: Options = {}): Promise<Response
   }
   const patience = AbortSignal.timeout(options.patience_ms ?? PATIENCE_MS);
   init.signal = options.signal === undefined ? patience : AbortSignal.any([patience, options.signal]);
-  const response = await fetch(path, init);
+  const response = await fetch(path, init).catch((cause: unknown) => {
+    if (options.signal?.aborted) throw cause;
+    throw new NoAnswer(patience.aborted ? "late" : "unreachable", cause);
+  });
   if (response.ok) return response;
   if (response.status === 401) onUnknown();
   throw new ApiError(response.status, await problemOf(response));
@@ -65,16 +79,12 @@ export function withQuery(path: string, query: Record<string, string | number | 
   return `${path}?${new URLSearchParams(wanted.map(([name, value]) => [name, String(value)]))}`;
 }
 
-export function reasonOf(error: unknown): string {
-  return error instanceof Error ? error.message : String(error);
-}
-
-async function problemOf(response: Response): Promise<string> {
+async function problemOf(response: Response): Promise<string | null> {
   try {
     const { detail } = (await response.json()) as { detail?: unknown };
     if (typeof detail === "string") return detail;
   } catch {
     // No JSON: the status has to do.
   }
-  return `the site answered ${response.status}`;
+  return null;
 }

@@ -288,6 +288,35 @@ export interface StatePoint {
   pose_rate_hz: number | null;
 }
 
+/** Where a machine was at one time. */
+export interface TrailPoint {
+  time: string;
+  stamp: string;
+  position_m: Vector3;
+  latitude_deg: number;
+  longitude_deg: number;
+  cabin_position_m: Vector3;
+  heading_deg: number;
+  semi_major_m: number;
+  mode: Mode | null;
+  gnss: GnssState | null;
+}
+
+export interface TrajectoryView {
+  machine: string;
+  points: TrailPoint[];
+  next: string | null;
+}
+
+/** What runs on a machine, and how it is configured. */
+export interface ConfigurationView {
+  machine: string;
+  boot: string;
+  software: string;
+  /** TOML, with all defaults. */
+  machine_file: string;
+}
+
 export interface HistoryView {
   machine: string;
   start: string | null;
@@ -350,24 +379,22 @@ export type EventKind = (typeof EVENT_KINDS)[number];
 export const EVENT_SEVERITIES = ["info", "warning", "error"] as const;
 export type EventSeverity = (typeof EVENT_SEVERITIES)[number];
 
-/** An event of a machine, as far as the page tells of it: which fields there are depends on the kind. */
-export interface MachineEvent {
-  stamp_ns: number;
-  severity: EventSeverity;
-  kind: EventKind;
-  from?: string;
-  to?: string;
-  reason?: string;
-  cause?: GnssState;
-  sensor?: Sensor;
-  count?: number;
-  travelled_m?: number;
-  jump_m?: number | null;
-  start_stamp_ns?: number;
-  end_stamp_ns?: number | null;
-  heading_from?: string;
-  heading_sigma_deg?: number;
-}
+/** Which of the two graphs answers. */
+export const GRAPHS = ["main", "fallback", "trial"] as const;
+export type Graph = (typeof GRAPHS)[number];
+
+/** What happened: the fields depend on the kind. */
+export type EventDetail =
+  | { kind: "mode_changed"; from: Mode; to: Mode }
+  | { kind: "graph_changed"; from: Graph; to: Graph; reason: string }
+  | { kind: "gnss_changed"; from: GnssState; to: GnssState }
+  | { kind: "initialized"; heading_from: string; heading_sigma_deg: number }
+  | { kind: "refused"; sensor: Sensor; count: number; reason: string }
+  | { kind: "outage_began"; cause: GnssState }
+  | ({ kind: "outage_ended" } & OutageReport)
+  | { kind: "restarted"; reason: string };
+
+export type MachineEvent = EventDetail & { stamp_ns: number; severity: EventSeverity };
 
 export interface SessionEvent {
   time: string;

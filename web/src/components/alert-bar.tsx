@@ -3,63 +3,74 @@
 import { effect } from "@preact/signals";
 import { useEffect } from "preact/hooks";
 
-import type { AlertView } from "../api/alerts";
 import { paths } from "../route";
 import { newAmong, unseenAlerts } from "../store/alerts";
 import { useDesk } from "../store/context";
 import { useSpeech } from "../text";
+import { alertWords } from "./alert-words";
+import { Chime } from "./chime";
+
+const chime = new Chime(() => new AudioContext());
 
 export function AlertBar() {
   const { store, choices } = useDesk();
   const { text, format } = useSpeech();
   useEffect(() => hear(choices.sound), [choices]);
   const [first, ...more] = unseenAlerts.value;
-  if (first === undefined) return null;
+  const state = store.calm.value;
+  const name = state.machines.get(first?.machine ?? "")?.view.name;
+  const when = (time: string) => format.moment(Date.parse(time), state.siteTime_ms ?? Date.now());
   return (
-    <div class={`banner alert-bar alert-${first.severity}`} role="status" data-alert-bar>
-      <span class="alert-severity">{text.alerts.severities[first.severity]}</span>
-      <a class="alert-link" href={paths.alerts()}>
-        {alertWords(first, store.calm.value.machines.get(first.machine ?? "")?.view.name)}
-      </a>
-      <span class="alert-when">
-        {first.cleared === null
-          ? text.alerts.since(format.timeOfDay(Date.parse(first.raised)))
-          : text.alerts.cleared(format.timeOfDay(Date.parse(first.cleared)))}
-        {more.length > 0 && ` · ${text.alerts.more(more.length)}`}
-      </span>
-    </div>
+    <>
+      {/* Said once an alert: its numbers change with every second, and stand outside. */}
+      <p class="visually-hidden" role="status">
+        {first !== undefined &&
+          [text.alerts.severities[first.severity], name ?? first.machine ?? "", text.alerts.rules[first.rule]]
+            .filter((word) => word !== "")
+            .join(": ")}
+      </p>
+      {first !== undefined && (
+        <div class={`banner alert-bar alert-${first.severity}`} data-alert-bar>
+          <span class="alert-severity">{text.alerts.severities[first.severity]}</span>
+          <a class="alert-link" href={paths.alerts()}>
+            {alertWords(first, name, text, format)}
+          </a>
+          <span class="alert-when">
+            {first.cleared === null
+              ? text.alerts.since(when(first.raised))
+              : text.alerts.cleared(when(first.cleared))}
+            {more.length > 0 && ` · ${text.alerts.more(more.length)}`}
+          </span>
+        </div>
+      )}
+      {chime.blocked.value && (
+        <div class="banner banner-warning" role="status" data-banner="sound">
+          {text.alerts.soundBlocked}
+        </div>
+      )}
+    </>
   );
-}
-
-/** What the site says of an alert, and whose it is. */
-export function alertWords(alert: AlertView, name: string | undefined): string {
-  if (alert.machine === null) return alert.message;
-  return alert.message.includes(alert.machine) || (name !== undefined && alert.message.includes(name))
-    ? alert.message
-    : `${name ?? alert.machine}: ${alert.message}`;
 }
 
 /** Two short tones when an alert comes that was not there before, if a person wanted that. */
 function hear(wanted: { readonly value: boolean; peek(): boolean }): () => void {
   let before = new Set(unseenAlerts.peek().map(({ id }) => id));
-  return effect(() => {
+  const stopListening = effect(() => {
     const alerts = unseenAlerts.value;
     const fresh = newAmong(before, alerts);
     before = new Set(alerts.map(({ id }) => id));
-    if (fresh.length > 0 && wanted.peek()) beep();
+    if (fresh.length > 0 && wanted.peek()) chime.ring();
   });
-}
-
-function beep(): void {
-  const audio = new AudioContext();
-  for (const [index, hertz] of [660, 880].entries()) {
-    const tone = audio.createOscillator();
-    const level = audio.createGain();
-    tone.frequency.value = hertz;
-    level.gain.value = 0.08;
-    tone.connect(level).connect(audio.destination);
-    tone.start(audio.currentTime + index * 0.2);
-    tone.stop(audio.currentTime + index * 0.2 + 0.16);
-    if (index === 1) tone.onended = () => void audio.close();
-  }
+  const pressed = () => {
+    if (chime.blocked.peek()) chime.wake();
+  };
+  const stopWaking = effect(() => (wanted.value ? chime.wake() : chime.rest()));
+  document.addEventListener("pointerdown", pressed);
+  document.addEventListener("keydown", pressed);
+  return () => {
+    stopListening();
+    stopWaking();
+    document.removeEventListener("pointerdown", pressed);
+    document.removeEventListener("keydown", pressed);
+  };
 }

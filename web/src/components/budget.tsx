@@ -1,13 +1,18 @@
 /** What is left of the site's tolerance while a machine holds its position by itself. */
 
-import type { GnssView } from "../api/types";
 import { paths } from "../route";
+import { healthAge_s, healthIsFresh, SITE_FRESH_S, siteAge_s } from "../store/freshness";
+import type { Machine, State } from "../store/store";
 import { useSpeech } from "../text";
 
-export function BudgetLine({ gnss }: { gnss: GnssView }) {
+export function BudgetLine({ machine, state }: { machine: Machine; state: State }) {
   const { text, format } = useSpeech();
-  const { outage } = gnss;
+  const { outage } = machine.view.gnss;
   if (outage === null) return null;
+  // That it lasts is the site's word; what is left is reckoned from what the machine says.
+  const told_s = siteAge_s(state) ?? 0;
+  const stale = told_s > SITE_FRESH_S;
+  const spent = !stale && outage.budget !== null && !healthIsFresh(state, machine);
   const { budget } = outage;
   const words: string[] = [];
   if (budget !== null) {
@@ -27,9 +32,11 @@ export function BudgetLine({ gnss }: { gnss: GnssView }) {
   } else words.push(text.budget.early);
   const is_over = budget !== null && (budget.time_s === 0 || budget.distance_m === 0);
   return (
-    <p class={`budget${is_over ? " budget-over" : ""}`}>
-      {text.budget.outage(text.fix[outage.cause], format.span(outage.duration_s))} {words.join(" ")}{" "}
-      <a href={paths.outage(outage.id)}>{text.budget.details}</a>
+    <p class={`budget${is_over ? " budget-over" : ""}${stale || spent ? " stale" : ""}`}>
+      {stale && <b>{text.budget.asOf(format.age(told_s))} </b>}
+      {text.budget.outage(text.fix[outage.cause], format.span(outage.duration_s))}{" "}
+      {spent && <b>{text.budget.asOf(format.age(healthAge_s(state, machine)))} </b>}
+      {words.join(" ")} <a href={paths.outage(outage.id)}>{text.budget.details}</a>
     </p>
   );
 }

@@ -3,6 +3,7 @@
 import type { MachineEvent, SessionEvent } from "../api/types";
 import type { Format } from "../format";
 import type { Text } from "../text";
+import { inWords } from "../text/told";
 
 /** Whether one would jump to it: refused readings and changes within the estimator are for its makers. */
 export function isMark({ event }: SessionEvent): boolean {
@@ -19,35 +20,26 @@ export function eventWords(event: MachineEvent, text: Text, format: Format): str
   const words = text.events;
   switch (event.kind) {
     case "mode_changed":
-      return words.mode(named(text.mode, event.from), named(text.mode, event.to));
+      return words.mode(text.mode[event.from], text.mode[event.to]);
     case "gnss_changed":
-      return words.gnss(named(text.gnss, event.from), named(text.gnss, event.to));
+      return words.gnss(text.gnss[event.from], text.gnss[event.to]);
     case "graph_changed":
-      return words.graph(event.from ?? "", event.to ?? "", event.reason ?? "");
+      return words.graph(event.from, event.to, event.reason);
     case "initialized":
-      return words.initialized(event.heading_from ?? "");
+      return words.initialized(inWords(event.heading_from, text.told, format));
     case "refused":
-      return words.refused(
-        format.count(event.count ?? 1),
-        named(text.sensor, event.sensor),
-        event.reason ?? "",
-      );
+      return words.refused(format.count(event.count), text.sensor[event.sensor], event.reason);
     case "outage_began":
-      return words.outageBegan(named(text.gnss, event.cause));
+      return words.outageBegan(text.gnss[event.cause]);
     case "outage_ended": {
       const { start_stamp_ns: start, end_stamp_ns: end } = event;
-      const lasted_s = start === undefined || end == null ? null : (end - start) / 1e9;
       return words.outageEnded(
-        format.span(lasted_s),
-        format.metres(event.travelled_m ?? null, 1),
-        format.smallLength(event.jump_m ?? null),
+        format.span(end === null ? null : (end - start) / 1e9),
+        format.metres(event.travelled_m, 1),
+        format.smallLength(event.jump_m),
       );
     }
     case "restarted":
-      return words.restarted(event.reason ?? "");
+      return words.restarted(inWords(event.reason, text.told, format));
   }
-}
-
-function named(names: Record<string, string>, key: string | undefined): string {
-  return key === undefined ? "" : (names[key] ?? key);
 }

@@ -6,7 +6,7 @@ import { openAlerts, unseenAlerts } from "../store/alerts";
 import { useDesk } from "../store/context";
 import { me, setMe } from "../store/people";
 import type { State } from "../store/store";
-import { useSpeech } from "../text";
+import { LANGUAGES, useSpeech } from "../text";
 
 const NAVIGATION: readonly { view: View; also: readonly View[]; path(): string }[] = [
   { view: "live", also: ["machine"], path: paths.live },
@@ -17,7 +17,7 @@ const NAVIGATION: readonly { view: View; also: readonly View[]; path(): string }
 
 export function Header({ view }: { view: View | null }) {
   const { store, choices } = useDesk();
-  const { text, format } = useSpeech();
+  const { text, format, choose } = useSpeech();
   const state = store.calm.value;
   const words = { connecting: text.link.connecting, open: text.link.open, lost: text.link.lost };
   const unseen = unseenAlerts.value.length;
@@ -49,7 +49,7 @@ export function Header({ view }: { view: View | null }) {
       </nav>
       <span class={`link link-${state.link.phase}`} role="status" data-link={state.link.phase}>
         <i aria-hidden="true" />
-        {words[state.link.phase]}
+        <span class="link-word">{words[state.link.phase]}</span>
       </span>
       <span class="site-time" title={isoTitle(state)}>
         <span class="site-time-word">{text.page.siteTime}</span>{" "}
@@ -89,6 +89,16 @@ export function Header({ view }: { view: View | null }) {
               onChange={(event) => (choices.sound.value = event.currentTarget.checked)}
             />
             {text.account.sound}
+          </label>
+          <label>
+            {text.account.language}{" "}
+            <select value={text.language} onChange={(event) => choose(event.currentTarget.value)}>
+              {LANGUAGES.map(({ language, languageName }) => (
+                <option key={language} value={language} lang={language}>
+                  {languageName}
+                </option>
+              ))}
+            </select>
           </label>
           <Person />
           <p class="menu-about">
@@ -131,8 +141,10 @@ export function Banners() {
   return (
     <>
       {link.phase === "lost" && (
-        <div class="banner banner-bad" role="alert" data-banner="link">
-          {site === null ? text.link.neverOpened(silence) : text.link.lostBanner(silence)}{" "}
+        <div class="banner banner-bad" data-banner="link">
+          {/* Said once: the seconds beside it are for the eye. */}
+          <span role="alert">{site === null ? text.link.neverOpened : text.link.lostBanner}</span>{" "}
+          {text.link.silentFor(silence)}{" "}
           {link.retry_at_ms > now_ms
             ? text.link.retry(format.age((link.retry_at_ms - now_ms) / 1000))
             : text.link.retryNow}

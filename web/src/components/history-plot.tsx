@@ -4,6 +4,7 @@ import { useEffect, useRef } from "preact/hooks";
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
 
+import type { Format } from "../format";
 import { HISTORY_SPAN_MS, type Tracing } from "../store/trace";
 import { useSpeech } from "../text";
 
@@ -21,7 +22,7 @@ export function HistoryPlot({ name, trace, now_ms }: { name: string; trace: Trac
       plot.current?.destroy();
       const colours = getComputedStyle(container);
       plot.current = new uPlot(
-        options(container.clientWidth, colours, text.plot, (value, digits) => format.number(value, digits)),
+        options(container.clientWidth, colours, text.plot, format),
         [[], [], []],
         container,
       );
@@ -65,7 +66,7 @@ function options(
   width: number,
   colours: CSSStyleDeclaration,
   words: { sigma: string; speed: string; seconds: string },
-  number: (value: number, digits: number) => string,
+  format: Format,
 ): uPlot.Options {
   const colour = (name: string) => colours.getPropertyValue(name).trim();
   const [sigma, speed, faint, ink] = [
@@ -75,11 +76,7 @@ function options(
     colour("--ink-soft"),
   ];
   const axis = { stroke: ink, font: "11px sans-serif", ticks: { show: false } };
-  const decimals = (_plot: uPlot, values: number[]) => {
-    const wanted = values.some((value) => Math.abs(value * 10 - Math.round(value * 10)) > 1e-6) ? 2 : 1;
-    const digits = values.every((value) => Math.abs(value - Math.round(value)) < 1e-6) ? 0 : wanted;
-    return values.map((value) => number(value, digits));
-  };
+  const decimals = (_plot: uPlot, values: number[]) => format.axis(values);
   return {
     width,
     height: HEIGHT_PX,
@@ -96,7 +93,8 @@ function options(
         ...axis,
         size: 26,
         grid: { stroke: faint, width: 1 },
-        values: (_plot, values) => values.map((value) => (value === 0 ? "0 s" : `${number(value, 0)} s`)),
+        values: (_plot, values) =>
+          values.map((value) => (value === 0 ? "0 s" : `${format.number(value, 0)} s`)),
       },
       {
         ...axis,

@@ -1,8 +1,16 @@
 /** Everything the site says about one machine: numbers, the last minute, sensors, the outage. */
 
-import type { OutageReport, PoseView } from "../api/types";
+import type { PoseView } from "../api/types";
 import { paths } from "../route";
-import { HEALTH_FRESH_S, healthAge_s, poseAge_s, poseFresh_s } from "../store/freshness";
+import {
+  HEALTH_FRESH_S,
+  healthAge_s,
+  healthIsFresh,
+  poseAge_s,
+  poseFresh_s,
+  SITE_FRESH_S,
+  siteAge_s,
+} from "../store/freshness";
 import type { Machine, State } from "../store/store";
 import { useSpeech } from "../text";
 import { Field } from "./field";
@@ -31,10 +39,10 @@ export function MachineDetails({ machine, state }: DetailsProps) {
       <SensorTable
         sensors={view.health?.report.sensors ?? []}
         extraAge_s={healthAge}
-        stale={healthAge !== null && healthAge > HEALTH_FRESH_S}
+        stale={!healthIsFresh(state, machine)}
       />
       <h3>{text.details.outage}</h3>
-      <Outage outage={view.health?.report.outage ?? null} stamp_ns={view.health?.report.stamp_ns ?? null} />
+      <Outage machine={machine} state={state} />
     </section>
   );
 }
@@ -44,6 +52,7 @@ export function Numbers({ machine, state }: DetailsProps) {
   const { pose, health, link, boot } = machine.view;
   const poseAge = { age_s: poseAge_s(state, machine), fresh_s: poseFresh_s(machine) };
   const healthAge = { age_s: healthAge_s(state, machine), fresh_s: HEALTH_FRESH_S };
+  const siteAge = { age_s: siteAge_s(state), fresh_s: SITE_FRESH_S };
   const worst = health?.report ?? null;
   return (
     <dl class="fields fields-wide">
@@ -54,19 +63,23 @@ export function Numbers({ machine, state }: DetailsProps) {
           {worst.worst_test_sensor !== null && ` (${text.sensor[worst.worst_test_sensor]})`}
         </Field>
       )}
-      <Field name={text.fields.poseRate}>{format.rate(link.pose_rate_hz)}</Field>
-      <Field name={text.fields.missed}>
+      <Field name={text.fields.poseRate} {...siteAge}>
+        {format.rate(link.pose_rate_hz)}
+      </Field>
+      <Field name={text.fields.missed} {...siteAge}>
         {text.fields.missedValue(format.count(link.missed), format.count(link.received + link.missed))}
       </Field>
-      <Field name={text.fields.gaps}>
+      <Field name={text.fields.gaps} {...siteAge}>
         {text.fields.gapsValue(
           format.count(link.gaps_open),
           format.count(link.gaps_filled),
           format.count(link.gaps_lost),
         )}
       </Field>
-      <Field name={text.fields.refused}>{format.count(link.refused)}</Field>
-      <Field name={text.fields.clockOffset}>
+      <Field name={text.fields.refused} {...siteAge}>
+        {format.count(link.refused)}
+      </Field>
+      <Field name={text.fields.clockOffset} {...(link.clock_offset_s === null ? siteAge : healthAge)}>
         {link.clock_offset_s === null
           ? text.fields.unknown
           : `${format.number(link.clock_offset_s * 1000, 1)} ms`}
@@ -82,7 +95,7 @@ function PoseNumbers({ pose, age }: { pose: PoseView; age: { age_s: number | nul
   return (
     <>
       <Field name={text.fields.position} {...age}>
-        {pose.position_m.map((metres) => format.number(metres, 3)).join(", ")} m
+        {pose.position_m.map((metres) => format.number(metres, 3)).join(" / ")} m
       </Field>
       <Field name={text.fields.geodetic} {...age}>
         {format.degrees(pose.latitude_deg, 7)}, {format.degrees(pose.longitude_deg, 7)}
@@ -104,19 +117,30 @@ function PoseNumbers({ pose, age }: { pose: PoseView; age: { age_s: number | nul
   );
 }
 
-export function Outage({ outage, stamp_ns }: { outage: OutageReport | null; stamp_ns: number | null }) {
+/** The last outage, as the machine tells it. */
+export function Outage({ machine, state }: DetailsProps) {
   const { text, format } = useSpeech();
-  if (outage === null) return <p class="empty">{text.details.outageNone}</p>;
-  const end_ns = outage.end_stamp_ns ?? stamp_ns;
-  const lasted_s = end_ns === null ? null : (end_ns - outage.start_stamp_ns) / 1e9;
+  const report = machine.view.health?.report;
+  if (report?.outage == null) return <p class="empty">{text.details.outageNone}</p>;
+  const { outage } = report;
+  const lasted_s = ((outage.end_stamp_ns ?? report.stamp_ns) - outage.start_stamp_ns) / 1e9;
+  // What is over stays as it was; what runs is as old as the report.
+  const age =
+    outage.end_stamp_ns === null ? { age_s: healthAge_s(state, machine), fresh_s: HEALTH_FRESH_S } : {};
+  const now_ms = state.siteTime_ms ?? Date.now();
   return (
     <dl class="fields fields-wide">
-      <Field name={outage.end_stamp_ns === null ? text.details.outageRunning : text.details.outageLast}>
+      <Field
+        name={outage.end_stamp_ns === null ? text.details.outageRunning : text.details.outageLast}
+        {...age}
+      >
         {format.span(lasted_s)}
       </Field>
       <Field name={text.details.outageCause}>{text.gnss[outage.cause]}</Field>
-      <Field name={text.details.outageBegan}>{format.timeOfDay(outage.start_stamp_ns / 1e6)}</Field>
-      <Field name={text.details.outageTravelled}>{format.metres(outage.travelled_m, 1)}</Field>
+      <Field name={text.details.outageBegan}>{format.moment(outage.start_stamp_ns / 1e6, now_ms)}</Field>
+      <Field name={text.details.outageTravelled} {...age}>
+        {format.metres(outage.travelled_m, 1)}
+      </Field>
       {outage.jump_m !== null && (
         <Field name={text.details.outageJump}>{format.smallLength(outage.jump_m)}</Field>
       )}

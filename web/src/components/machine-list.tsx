@@ -10,6 +10,7 @@ import { useDesk } from "../store/context";
 import {
   HEALTH_FRESH_S,
   healthAge_s,
+  healthIsFresh,
   isStale,
   poseAge_s,
   poseFresh_s,
@@ -18,10 +19,12 @@ import {
 import type { Machine, State } from "../store/store";
 import { horizontalSigma_m } from "../store/trace";
 import { type Text, useSpeech } from "../text";
+import { inWords } from "../text/told";
 import { BudgetLine } from "./budget";
 import { Field } from "./field";
 import { SeverityIcon } from "./icons";
 import { MachineDetails } from "./machine-details";
+import { TableHead } from "./table-head";
 
 /** With more machines, a line each is easier to read than a card each. */
 const CARDS_MAX = 8;
@@ -73,22 +76,26 @@ function MachineTable({ state }: { state: State }) {
   return (
     <div class="table-scroll">
       <table class="table machine-table">
-        <thead>
-          <tr>
-            <th scope="col">{text.machines.title}</th>
-            <th scope="col">{text.machines.state}</th>
-            <th scope="col">{text.fields.positionSigma}</th>
-            <th scope="col">{text.fields.headingSigma}</th>
-            <th scope="col">{text.fields.worstTest}</th>
-            <th scope="col">{text.machines.place}</th>
-            <th scope="col">{text.details.ageColumn}</th>
-          </tr>
-        </thead>
+        <TableHead
+          names={[
+            text.views.machine,
+            text.machines.state,
+            text.fields.positionSigma,
+            text.fields.headingSigma,
+            text.fields.worstTest,
+            text.machines.place,
+            text.details.ageColumn,
+          ]}
+        />
         <tbody>
           {[...state.machines].map(([id, machine]) => {
             const { pose, health, name, state_word } = machine.view;
             const severity = shownSeverity(state, machine);
             const age_s = poseAge_s(state, machine);
+            // A line that is old as a whole is drawn so already.
+            const old = (is_old: boolean) => (is_old && !isStale(state, machine) ? "stale" : "");
+            const oldPose = old(age_s !== null && age_s > poseFresh_s(machine));
+            const oldHealth = old(health !== null && !healthIsFresh(state, machine));
             return (
               <tr
                 key={id}
@@ -105,10 +112,10 @@ function MachineTable({ state }: { state: State }) {
                 <td class={`severity-${severity}`}>
                   <a href={paths.machine(id)}>{state_word}</a>
                 </td>
-                <td>{pose === null ? "–" : format.smallLength(horizontalSigma_m(pose))}</td>
-                <td>{format.degrees(pose?.heading_sigma_deg ?? null, 2)}</td>
-                <td>{format.number(health?.report.worst_test_ratio ?? null, 2)}</td>
-                <td>
+                <td class={oldPose}>{pose === null ? "–" : format.smallLength(horizontalSigma_m(pose))}</td>
+                <td class={oldPose}>{format.degrees(pose?.heading_sigma_deg ?? null, 2)}</td>
+                <td class={oldHealth}>{format.number(health?.report.worst_test_ratio ?? null, 2)}</td>
+                <td class={oldPose}>
                   {pose === null || frame === null
                     ? "–"
                     : placeText(
@@ -119,7 +126,7 @@ function MachineTable({ state }: { state: State }) {
                         text.plan,
                       )}
                 </td>
-                <td>{format.age(age_s)}</td>
+                <td class={oldPose}>{format.age(age_s)}</td>
               </tr>
             );
           })}
@@ -176,7 +183,7 @@ function MachineCard({ id, machine, state, brief }: CardProps) {
         {view.presence !== "online" && (
           <span class="presence">
             {text.presence[view.presence]}, {text.fields.since.toLowerCase()}{" "}
-            {format.timeOfDay(Date.parse(view.presence_since))}
+            {format.moment(Date.parse(view.presence_since), state.siteTime_ms ?? Date.now())}
           </span>
         )}
       </button>
@@ -202,10 +209,10 @@ function MachineCard({ id, machine, state, brief }: CardProps) {
       </dl>
       {health?.report.waits_for != null && (
         <p class="waits">
-          {text.fields.waitsFor}: {health.report.waits_for}
+          {text.fields.waitsFor}: {inWords(health.report.waits_for, text.told, format)}
         </p>
       )}
-      {!brief && <BudgetLine gnss={view.gnss} />}
+      {!brief && <BudgetLine machine={machine} state={state} />}
       {selected && !brief && <MachineDetails machine={machine} state={state} />}
     </li>
   );

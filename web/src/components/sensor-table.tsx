@@ -4,6 +4,7 @@ import { Fragment } from "preact";
 
 import type { SensorHealth } from "../api/types";
 import { useSpeech } from "../text";
+import { TableHead } from "./table-head";
 
 interface TableProps {
   sensors: SensorHealth[];
@@ -17,15 +18,15 @@ export function SensorTable({ sensors, extraAge_s, stale }: TableProps) {
   if (sensors.length === 0) return <p class="empty">{text.details.noSensors}</p>;
   return (
     <table class={`sensors${stale ? " stale" : ""}`}>
-      <thead>
-        <tr>
-          <th scope="col">{text.details.sensorName}</th>
-          <th scope="col">{text.details.rate}</th>
-          <th scope="col">{text.details.ageColumn}</th>
-          <th scope="col">{text.details.received}</th>
-          <th scope="col">{text.details.refused}</th>
-        </tr>
-      </thead>
+      <TableHead
+        names={[
+          text.details.sensorName,
+          text.details.rate,
+          text.details.ageColumn,
+          text.details.received,
+          text.details.refused,
+        ]}
+      />
       <tbody>
         {sensors.map((sensor) => (
           <Fragment key={sensor.sensor}>

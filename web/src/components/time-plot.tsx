@@ -9,6 +9,8 @@ import type { Format } from "../format";
 import { useSpeech } from "../text";
 
 const HEIGHT_PX = 128;
+/** Finer than this an axis has no words for. */
+const LEAST_RANGE = 1e-3;
 /** Lanes have the same margins, so that moments stand above each other. */
 export const PLOT_LEFT_PX = 52;
 export const PLOT_RIGHT_PX = 14;
@@ -45,22 +47,35 @@ export function TimePlot(props: TimePlotProps) {
   const place = useRef<HTMLDivElement>(null);
   const mark = useRef<HTMLElement>(null);
   const plot = useRef<uPlot | null>(null);
+  const moment = useRef<number | null>(null);
   const cursor = useSignal<number | null>(null);
   const latest = useRef(props);
   latest.current = props;
   const shape = lines.map(({ label, colour }) => `${label} ${colour}`).join();
+
+  const placeMark = (drawn: uPlot) => {
+    if (mark.current === null) return;
+    const [from, to] = latest.current.span;
+    const time_s = moment.current;
+    const seen = time_s !== null && time_s >= from && time_s <= to;
+    mark.current.hidden = !seen;
+    if (seen) mark.current.style.transform = `translateX(${PLOT_LEFT_PX + drawn.valToPos(time_s, "x")}px)`;
+  };
 
   useEffect(() => {
     const container = place.current;
     if (container === null) return;
     const open = () => {
       plot.current?.destroy();
-      const given = latest.current;
       plot.current = new uPlot(
-        options(container, given, format, (index) => {
-          cursor.value = index;
+        options(container, latest, format, {
+          cursor: (index) => {
+            cursor.value = index;
+          },
+          // Before it is drawn a plot does not know where a moment is.
+          drawn: placeMark,
         }),
-        dataOf(given),
+        dataOf(latest.current),
         container,
       );
     };
@@ -89,12 +104,8 @@ export function TimePlot(props: TimePlotProps) {
   useEffect(() => {
     if (now === undefined) return;
     return now.subscribe((time_s) => {
-      const drawn = plot.current;
-      if (drawn === null || mark.current === null) return;
-      const [from, to] = latest.current.span;
-      const seen = time_s !== null && time_s >= from && time_s <= to;
-      mark.current.hidden = !seen;
-      if (seen) mark.current.style.transform = `translateX(${PLOT_LEFT_PX + drawn.valToPos(time_s, "x")}px)`;
+      moment.current = time_s;
+      if (plot.current !== null) placeMark(plot.current);
     });
   }, [now, span[0], span[1]]);
 
@@ -121,13 +132,14 @@ function dataOf({ times_s, lines }: TimePlotProps): uPlot.AlignedData {
   return [times_s, ...lines.map(({ values }) => values)];
 }
 
-function options(
+/** What changes while the plot stands, such as the span, is read out of `latest` at each drawing. */
+export function options(
   container: HTMLElement,
-  props: TimePlotProps,
+  latest: { readonly current: TimePlotProps },
   format: Format,
-  onCursor: (index: number | null) => void,
+  on: { cursor(index: number | null): void; drawn(plot: uPlot): void },
 ): uPlot.Options {
-  const { lines, limit = null, syncKey, height = HEIGHT_PX } = props;
+  const { lines, limit = null, syncKey, height = HEIGHT_PX } = latest.current;
   const style = getComputedStyle(container);
   const colour = (name: string) => style.getPropertyValue(name).trim();
   const axis = {
@@ -136,7 +148,8 @@ function options(
     ticks: { show: false },
     grid: { stroke: colour("--line"), width: 1 },
   };
-  const tick = props.tick ?? ((time_s: number, step_s: number): string => format.tick(time_s * 1000, step_s));
+  const tick = (time_s: number, step_s: number): string =>
+    latest.current.tick?.(time_s, step_s) ?? format.tick(time_s * 1000, step_s);
   return {
     width: Math.max(120, container.clientWidth),
     height,
@@ -149,7 +162,13 @@ function options(
       points: { size: 6 },
     },
     scales: {
-      x: { time: false, range: () => [props.span[0], Math.max(props.span[1], props.span[0] + 1)] },
+      x: {
+        time: false,
+        range: () => {
+          const [from, to] = latest.current.span;
+          return [from, Math.max(to, from + 1)];
+        },
+      },
       y: { range: (_plot, least, most) => rangeOf(least, most, limit) },
     },
     axes: [
@@ -164,11 +183,7 @@ function options(
         ...axis,
         size: PLOT_LEFT_PX,
         space: 26,
-        values: (_plot, ticks) => {
-          const step = Math.abs((ticks[1] ?? 1) - (ticks[0] ?? 0));
-          const digits = Math.min(4, Math.max(0, -Math.floor(Math.log10(step) + 1e-9)));
-          return ticks.map((value) => format.number(value, digits));
-        },
+        values: (_plot, ticks) => format.axis(ticks),
       },
     ],
     series: [
@@ -182,8 +197,9 @@ function options(
       })),
     ],
     hooks: {
-      setCursor: [(drawn) => onCursor(drawn.cursor.idx ?? null)],
+      setCursor: [(drawn) => on.cursor(drawn.cursor.idx ?? null)],
       draw: [
+        on.drawn,
         (drawn) => {
           if (limit === null) return;
           const { ctx, bbox } = drawn;
@@ -206,7 +222,7 @@ function options(
 
 function rangeOf(least: number | null, most: number | null, limit: number | null): [number, number] {
   const low = Math.min(0, least ?? 0);
-  const high = Math.max(most ?? 0, limit ?? 0, low + 1e-6);
+  const high = Math.max(most ?? 0, limit ?? 0, low + LEAST_RANGE);
   // The range may not follow every tremble of a value around zero.
   const room = (high - low) * 0.12;
   return [low < 0 ? low - room : 0, high + room];

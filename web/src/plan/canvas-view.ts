@@ -8,6 +8,7 @@
 
 import type { Metres } from "../geometry/geodesy";
 import type { Extent, GridLine } from "../geometry/grid";
+import { onceAFrame } from "./once-a-frame";
 import type { Palette } from "./palette";
 import { LAYERS, type PlanEvents, type PlanView, type PlanWord, type Shape, type Underlay } from "./view";
 
@@ -51,7 +52,6 @@ export function createCanvasView(
   let width = 1;
   let height = 1;
   let ratio = 1;
-  let frame: number | null = null;
 
   const toPixels = ([east, north]: Metres): readonly [number, number] => [
     width / 2 + (east - centre[0]) / metresPerPixel,
@@ -61,12 +61,7 @@ export function createCanvasView(
     centre[0] + (x - width / 2) * metresPerPixel,
     centre[1] - (y - height / 2) * metresPerPixel,
   ];
-  const ask = () => {
-    frame ??= requestAnimationFrame(() => {
-      frame = null;
-      paint();
-    });
-  };
+  const { ask, cancel } = onceAFrame(() => paint());
 
   const paint = () => {
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
@@ -298,7 +293,7 @@ export function createCanvasView(
     zoomBy,
     destroy() {
       watcher.disconnect();
-      if (frame !== null) cancelAnimationFrame(frame);
+      cancel();
       canvas.remove();
     },
   };

@@ -12,6 +12,7 @@ import { type Extent, type GridLine, gridLines, roundStep, scaleBar } from "../g
 import type { Desk } from "../store/context";
 import { isStale, shownSeverity } from "../store/freshness";
 import type { State } from "../store/store";
+import { onceAFrame } from "./once-a-frame";
 import type { Palette } from "./palette";
 import { axisOf, buildShapes, machinesExtent, measureShapes } from "./scene";
 import type { PlanView, Shape } from "./view";
@@ -70,7 +71,7 @@ const BARE: Furniture = { labels: [], grid: [], gridStep_m: 1, scale: { length_m
 export class PlanPainter {
   private readonly laid: Signal<Furniture> = signal(BARE);
   private readonly stopWatching: () => void;
-  private frame: number | null = null;
+  private readonly repaint = onceAFrame(() => this.paint());
   private keepAllInSight = true;
   private moving = false;
   /** How many machines the last fit was for. */
@@ -153,14 +154,11 @@ export class PlanPainter {
 
   destroy(): void {
     this.stopWatching();
-    if (this.frame !== null) cancelAnimationFrame(this.frame);
+    this.repaint.cancel();
   }
 
   private ask(): void {
-    this.frame ??= requestAnimationFrame(() => {
-      this.frame = null;
-      this.paint();
-    });
+    this.repaint.ask();
   }
 
   private paint(): void {

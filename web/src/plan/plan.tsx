@@ -4,6 +4,7 @@ import { type ReadonlySignal, type Signal, useComputed, useSignal } from "@preac
 import type { ComponentChildren } from "preact";
 import { useEffect, useRef } from "preact/hooks";
 
+import type { ShadowCell } from "../api/shadow-map";
 import { SeverityIcon } from "../components/icons";
 import { type Metres, SiteFrame } from "../geometry/geodesy";
 import { type Coordinates, useDesk } from "../store/context";
@@ -12,7 +13,7 @@ import { createCanvasView } from "./canvas-view";
 import { Legend } from "./legend";
 import { type Furniture, PlanPainter } from "./painter";
 import { DARK, LIGHT, type Palette } from "./palette";
-import { type PlanFeature, planUnderlays, type ShadowCell, shadowUnderlays } from "./site-plan";
+import { type PlanFeature, planUnderlays, shadowUnderlays } from "./site-plan";
 import type { PlanView, Shape } from "./view";
 
 const NO_SHAPES: readonly Shape[] = [];
@@ -70,7 +71,7 @@ export function Plan({ features = [], shadow = [], extra, children, onReady }: P
       painter.value = null;
       view.value = null;
     };
-  }, [store]);
+  }, [store, text]);
 
   useEffect(() => palette.subscribe((colours) => painter.peek()?.setPalette(colours)), [palette, painter]);
   useEffect(() => {
@@ -79,14 +80,19 @@ export function Plan({ features = [], shadow = [], extra, children, onReady }: P
   }, [features, shadow, palette.value, view.value]);
   useEffect(() => view.value?.setMeasuring(measure.value !== null), [measure.value, view.value]);
 
+  useEffect(() => {
+    if (measure.value === null) return;
+    const end = (event: KeyboardEvent) => {
+      if (event.key === "Escape") measure.value = null;
+    };
+    document.addEventListener("keydown", end);
+    return () => document.removeEventListener("keydown", end);
+  }, [measure.value === null]);
+
   const selected = choices.selected.value;
   const machine = selected === null ? undefined : store.calm.value.machines.get(selected);
   return (
-    <section
-      class={`plan${recorded ? " plan-recorded" : ""}`}
-      aria-label={text.plan.title}
-      data-drawing="canvas"
-    >
+    <section class={`plan${recorded ? " plan-recorded" : ""}`} aria-label={text.plan.title}>
       <div class="plan-canvas" ref={place} />
       {painter.value !== null && (
         <Overlay furniture={painter.value.furniture} onPick={(id) => (choices.selected.value = id)} />

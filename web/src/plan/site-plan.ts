@@ -1,7 +1,8 @@
 /** The site's own plan and the map of its GNSS shadows, from GeoJSON to paths in metres. */
 
-import { type Check, list, MessageError, number, object, record } from "../api/checking";
-import { ApiError, ask, askFor, withQuery } from "../api/http";
+import { MessageError, record } from "../api/checking";
+import { ApiError, ask } from "../api/http";
+import type { ShadowCell } from "../api/shadow-map";
 import type { LngLat, Metres, SiteFrame } from "../geometry/geodesy";
 import type { Palette } from "./palette";
 import type { PlanWord, Underlay } from "./view";
@@ -14,18 +15,6 @@ export interface PlanFeature {
   stroke: string | null;
   fill: string | null;
 }
-
-export interface ShadowCell {
-  east_m: number;
-  north_m: number;
-  cell_m: number;
-  observed_s: number;
-  without_gnss_s: number;
-  share_without_gnss: number;
-}
-
-/** A file that is no plan, in words. */
-export class PlanError extends Error {}
 
 const PLAN = "/api/v1/plan";
 const POINT_RADIUS_M = 0.35;
@@ -54,8 +43,7 @@ export async function putPlan(file: Blob): Promise<void> {
 /** Features of a GeoJSON collection (RFC 7946); those of a kind that is not drawn are passed over. */
 export function readPlan(value: unknown, frame: SiteFrame): PlanFeature[] {
   const collection = record(value, "plan");
-  if (!Array.isArray(collection.features)) throw new PlanError("the plan has no list of features");
-  return collection.features.flatMap((feature) => {
+  return items(collection.features, "plan.features").flatMap((feature) => {
     const { geometry, properties } = record(feature, "feature");
     if (geometry === null || geometry === undefined) return [];
     const looks = (properties ?? {}) as Record<string, unknown>;
@@ -95,8 +83,8 @@ function partsOf(geometry: Record<string, unknown>, frame: SiteFrame): Part[] {
   }
 }
 
-function items(value: unknown): unknown[] {
-  if (!Array.isArray(value)) throw new MessageError("coordinates", "a list", value);
+function items(value: unknown, path = "coordinates"): unknown[] {
+  if (!Array.isArray(value)) throw new MessageError(path, "a list", value);
   return value;
 }
 
@@ -142,28 +130,6 @@ export function planUnderlays(
 function middle(points: readonly Metres[]): Metres {
   const sum = points.reduce<Metres>((total, point) => [total[0] + point[0], total[1] + point[1]], [0, 0]);
   return [sum[0] / points.length, sum[1] / points.length];
-}
-
-const shadowCell: Check<ShadowCell> = (value, path) =>
-  object<ShadowCell>({
-    east_m: number,
-    north_m: number,
-    cell_m: number,
-    observed_s: number,
-    without_gnss_s: number,
-    share_without_gnss: number,
-  })(record(value, path).properties, `${path}.properties`);
-
-const shadowMap = object<{ features: ShadowCell[] }>({ features: list(shadowCell) });
-
-/** Where machines lacked good GNSS. */
-export async function fetchShadow(query: {
-  machine?: string | null;
-  from?: string | null;
-  to?: string | null;
-  cell_m: number;
-}): Promise<ShadowCell[]> {
-  return (await askFor(withQuery("/api/v1/shadow-map", query), shadowMap)).features;
 }
 
 /** Five shades by the share of the time without good GNSS; cells that were always good stay bare. */

@@ -4,6 +4,7 @@ import { type ReadonlySignal, type Signal, signal } from "@preact/signals";
 import { createContext } from "preact";
 import { useContext } from "preact/hooks";
 
+import { LANGUAGES } from "../text";
 import type { State } from "./store";
 
 /** In which coordinates places are told. */
@@ -18,6 +19,8 @@ export interface Choices {
   coordinates: Signal<Coordinates>;
   /** Whether times are told in UTC instead of the site's zone. */
   utc: Signal<boolean>;
+  /** The language that was chosen, by its two letters; empty for the browser's. */
+  language: Signal<string>;
   /** Whether alerts are heard. */
   sound: Signal<boolean>;
   /** Whether the plan shows where GNSS was missing in the last week. */
@@ -30,6 +33,7 @@ export function noChoices(): Choices {
     following: signal(false),
     coordinates: signal("grid"),
     utc: signal(false),
+    language: signal(""),
     sound: signal(false),
     shadow: signal(false),
   };
@@ -60,6 +64,7 @@ export function keptChoices(storage: Pick<Storage, "getItem" | "setItem"> | null
   };
   keep<Coordinates>("coordinates", choices.coordinates, ["grid", "wgs84"]);
   keep<boolean>("utc", choices.utc, [true, false]);
+  keep<string>("language", choices.language, ["", ...LANGUAGES.map(({ language }) => language)]);
   keep<boolean>("sound", choices.sound, [true, false]);
   keep<boolean>("shadow", choices.shadow, [true, false]);
   return choices;

@@ -11,6 +11,8 @@ import { ageNow_s, type Machine, type State } from "./store";
 const POSE_FRESH_S = 0.5;
 /** Health comes once a second. */
 export const HEALTH_FRESH_S = 2.5;
+/** The site speaks at least once a second. */
+export const SITE_FRESH_S = 2.5;
 
 export function poseAge_s(state: State, { view, received_ms }: Machine): number | null {
   return view.pose === null ? null : ageNow_s(view.pose.age_s, received_ms, state.now_ms);
@@ -23,6 +25,17 @@ export function poseFresh_s({ view }: Machine): number {
 
 export function healthAge_s(state: State, { view, received_ms }: Machine): number | null {
   return view.health === null ? null : ageNow_s(view.health.age_s, received_ms, state.now_ms);
+}
+
+/** Of what the site itself counts and judges: as old as its last word. */
+export function siteAge_s({ told_ms, now_ms }: State): number | null {
+  return told_ms === null ? null : ageNow_s(0, told_ms, now_ms);
+}
+
+/** Whether what a machine says of itself is of now: it reports, and the site passes that on. */
+export function healthIsFresh(state: State, machine: Machine): boolean {
+  const age_s = healthAge_s(state, machine);
+  return age_s !== null && age_s <= HEALTH_FRESH_S;
 }
 
 /** Whether the machine as a whole is drawn as out of date: by the site's word, or because the site is silent. */

@@ -89,6 +89,7 @@ export class ReplayStore implements Source {
       link: { phase: "open", since_ms: 0 },
       site: this.site,
       siteTime_ms: this.start_ms + now_ms,
+      told_ms: now_ms,
       machines: new Map(
         this.machines.map((machine) => [machine.id, machine.at(time_s, this.start_ms, this.words)]),
       ),

@@ -7,7 +7,7 @@
 
 import { type ReadonlySignal, type Signal, signal } from "@preact/signals";
 
-import type { Delta, MachineView, Site, Snapshot } from "../api/types";
+import type { Delta, MachineView, Site, Snapshot, TrailPoint } from "../api/types";
 import type { Source } from "./context";
 import { Trace, type Tracing } from "./trace";
 
@@ -32,6 +32,8 @@ export interface State {
   site: Site | null;
   /** The site's clock, ms since 1970, for `now_ms`; `null` before it spoke. */
   siteTime_ms: number | null;
+  /** When the site told its views last, by the page's monotonic clock; `null` before it spoke. */
+  told_ms: number | null;
   machines: ReadonlyMap<string, Machine>;
   /** Messages that could not be read, and what was wrong with the last. */
   unreadable: { count: number; last: string | null };
@@ -71,6 +73,7 @@ export class Store implements Source {
       link: this.link,
       site: null,
       siteTime_ms: null,
+      told_ms: null,
       machines: new Map(),
       unreadable: this.unreadable,
     };
@@ -98,6 +101,22 @@ export class Store implements Source {
 
   takeDelta(message: Delta): void {
     this.takeViews(message.machines, message.time, this.surroundings.now());
+  }
+
+  /** Where a machine was before the page was opened, oldest first; `false` if the page does not know it yet. */
+  recall(id: string, points: readonly TrailPoint[]): boolean {
+    const trace = this.current.value.machines.get(id)?.trace;
+    if (!(trace instanceof Trace) || this.lastSiteTime === null) return false;
+    const begins_ms = this.lastSiteTime.received_ms - this.lastSiteTime.time_ms;
+    trace.precede(
+      points.map(({ time, cabin_position_m, gnss }) => ({
+        at: [cabin_position_m[0], cabin_position_m[1]],
+        time_ms: begins_ms + Date.parse(time),
+        gnss,
+      })),
+    );
+    this.askFrame();
+    return true;
   }
 
   setLink(link: Link): void {
@@ -145,6 +164,7 @@ export class Store implements Source {
         this.lastSiteTime === null
           ? null
           : this.lastSiteTime.time_ms + (now_ms - this.lastSiteTime.received_ms),
+      told_ms: this.lastSiteTime?.received_ms ?? null,
       machines:
         snapshot === null && views.size === 0
           ? before.machines

@@ -27,6 +27,9 @@ export interface TailPoint {
   starts: boolean;
 }
 
+/** Where a machine was before the page was told of it. */
+export type Earlier = Omit<TailPoint, "starts">;
+
 export interface HistoryPoint {
   time_ms: number;
   sigma_m: number;
@@ -67,6 +70,24 @@ export class Trace implements Tracing {
     this.addToTail(pose, view.health?.report.gnss ?? null, time_ms);
     this.addToHistory(pose, time_ms);
     this.newest_ms = Math.max(this.newest_ms, time_ms);
+  }
+
+  /** Puts before the tail where the machine was earlier, as the site has it: oldest first, a point a second. */
+  precede(earlier: readonly Earlier[]): void {
+    const [first] = this.tail;
+    const points: TailPoint[] = [];
+    let before_ms = Number.NEGATIVE_INFINITY;
+    for (const { at, time_ms, gnss } of earlier) {
+      if (first !== undefined && time_ms >= first.time_ms) break;
+      const last = points.at(-1);
+      const starts = time_ms - before_ms > TAIL_GAP_MS;
+      before_ms = time_ms;
+      const moved_m = last === undefined ? 0 : Math.hypot(at[0] - last.at[0], at[1] - last.at[1]);
+      if (starts || moved_m >= TAIL_STEP_M || gnss !== last?.gnss) points.push({ at, time_ms, gnss, starts });
+    }
+    if (first?.starts) first.starts = first.time_ms - before_ms > TAIL_GAP_MS;
+    this.tail.unshift(...points);
+    dropOld(this.tail, this.newest_ms - TAIL_SPAN_MS, TAIL_POINTS_MAX);
   }
 
   private addToTail(pose: PoseView, gnss: GnssState | null, time_ms: number): void {

@@ -1,7 +1,11 @@
 /** Every English word of the page. Other languages have the same keys; words chosen by the site are not here. */
 
+import type { Sentences } from "./told";
+
 export const en = {
   language: "en",
+  /** In the language itself. */
+  languageName: "English",
   page: {
     product: "holdfast",
     siteTime: "Site time",
@@ -26,19 +30,25 @@ export const en = {
     connecting: "Connecting to the site …",
     open: "Connected",
     lost: "Site not reachable",
-    lostBanner: (age: string) =>
-      `No connection to the site for ${age}. What you see are the last known values; they are getting older.`,
-    neverOpened: (age: string) => `No connection to the site for ${age}. Nothing is known yet.`,
+    lostBanner: "No connection to the site. What you see are the last known values; they are getting older.",
+    neverOpened: "No connection to the site. Nothing is known yet.",
+    silentFor: (age: string) => `Nothing heard for ${age}.`,
     retry: (wait: string) => `Next try in ${wait}.`,
     retryNow: "Trying now.",
     unreadable: (count: number, last: string) =>
       `${count} ${count === 1 ? "message" : "messages"} of the site could not be read. Last: ${last}`,
   },
+  failures: {
+    unreachable: "The site does not answer.",
+    late: "The site took too long to answer.",
+    status: (status: number) => `The site answered ${status}.`,
+    unexpected: (path: string, found: string) => `Not what it should be at ${path}: ${found}`,
+    noJson: "That is no JSON.",
+  },
   machines: {
     title: "Machines",
     none: "No machine has reported yet.",
     table: "Table",
-    cards: "Cards",
     state: "State",
     place: "Place",
     waiting: "Waiting for the site's first report …",
@@ -116,7 +126,6 @@ export const en = {
     numbers: "Numbers",
     lastMinute: "Last minute",
     plotDescription: (name: string) => `Position sigma and speed of ${name} over the last 60 seconds`,
-    plotEmpty: "No poses in the last minute.",
     sensors: "Sensors",
     sensorName: "Sensor",
     rate: "Rate",
@@ -131,7 +140,6 @@ export const en = {
     outageNone: "None since the machine started.",
     outageCause: "Cause",
     outageBegan: "Began",
-    outageLasted: "Lasted",
     outageTravelled: "Travelled",
     outageJump: "Corrected at its end",
   },
@@ -163,7 +171,7 @@ export const en = {
     zoomIn: "Zoom in",
     zoomOut: "Zoom out",
     measure: "Measure",
-    measureHint: "Press the plan: each press adds a corner. Press Measure again to end.",
+    measureHint: "Press the plan: each press adds a corner. Escape or Measure again ends it.",
     measured: (length: string, bearing: string) => `${length} in all; last leg towards ${bearing}`,
     east: "E",
     north: "N",
@@ -174,6 +182,7 @@ export const en = {
     upload: "Plan …",
     uploaded: "The plan is up.",
     planFailed: (reason: string) => `Plan: ${reason}`,
+    shadowFailed: (reason: string) => `GNSS shadows: ${reason}`,
     scale: "Scale",
     tail: "Tail: GNSS at the time",
     ellipse: "95 % ellipse, true to scale",
@@ -190,15 +199,23 @@ export const en = {
     timesIn: (zone: string) => `Times in ${zone}`,
     noPast: "Nothing was heard of it in the last hour.",
     takesPart: (sensors: string) => `Take part now: ${sensors}`,
+    tookPart: (sensors: string, age: string) =>
+      `Took part when it was last heard, ${age} ago: ${sensors === "" ? "none" : sensors}`,
     noSensorNow: "No sensor takes part now.",
+    nothingTold: "It has not said yet which sensors take part.",
     about: "Software and configuration",
     id: "Id",
     software: "Software",
     inflation: "GNSS sigmas taken times (horizontal / vertical)",
     updates: "Updates since its start",
+    configuration: "Configuration",
+    configurationHint: "Its machine file with all defaults, as it runs now.",
+    configurationAsked: "The machine is asked …",
+    configurationFailed: (reason: string) => `It is not known: ${reason}`,
     page: "Plots and history",
   },
   budget: {
+    asOf: (age: string) => `As it was ${age} ago:`,
     outage: (cause: string, lasted: string) => `Without good GNSS (${cause}) for ${lasted}.`,
     left: (left: string, tolerance: string) =>
       `About ${left} left until the tolerance of ${tolerance} is passed.`,
@@ -261,6 +278,7 @@ export const en = {
     none: "No outages in this period.",
     more: "There are more; choose a shorter period.",
     statistics: "Statistics",
+    daysIn: (zone: string) => `Days in ${zone}`,
     count: "Number",
     total: "Total",
     longest: "Longest",
@@ -293,6 +311,18 @@ export const en = {
   alerts: {
     open: "Open",
     none: "Nothing is open.",
+    waiting: "Not yet known.",
+    showMore: "Show more",
+    soundBlocked: "The browser holds back sound until you press something on this page.",
+    words: {
+      outageLonger: (lasted: string) => `without good GNSS for ${lasted}`,
+      sigmaOverTolerance: (times: string) => `position sigma up to ${times} times the tolerance`,
+      machineLost: (lasted: string) => `not heard for ${lasted}`,
+      clockOff: (seconds: string) => `clock up to ${seconds} s off the site's`,
+      diskLow: (gigabytes: string) => `the recordings' disk was down to ${gigabytes} GB`,
+      estimatorLate: (seconds: string) => `newest estimate up to ${seconds} s old`,
+      sensorSilent: (sensor: string, lasted: string) => `${sensor} silent for ${lasted}`,
+    },
     history: "Before",
     noHistory: "There were no others.",
     openCount: (unseen: number) => `open, ${unseen} of them not seen by anybody`,
@@ -328,6 +358,7 @@ export const en = {
     options: "Options",
     wgs84: "Latitude and longitude instead of site metres",
     utc: "Times in UTC",
+    language: "Language",
     sound: "Sound for new alerts",
     signedIn: (name: string, role: string) => `Signed in as ${name} (${role})`,
     roles: { viewer: "viewer", operator: "operator", admin: "admin" },
@@ -394,6 +425,8 @@ export const en = {
     },
     states: { recording: "recording", complete: "complete", recovered: "recovered", truncated: "cut short" },
   },
+  /** What machines say themselves is English already. */
+  told: {} as Sentences,
 };
 
 export type Text = typeof en;

@@ -1,4 +1,4 @@
-/** Chooses the page's language: `?lang=de` or the browser's wish, English otherwise. */
+/** Chooses the page's language: `?lang=de`, what the person chose before, or the browser's wish; English otherwise. */
 
 import { type ReadonlySignal, signal } from "@preact/signals";
 import { createContext } from "preact";
@@ -10,7 +10,7 @@ import { en, type Text } from "./en";
 
 export type { Text };
 
-const LANGUAGES: readonly Text[] = [en, de];
+export const LANGUAGES: readonly Text[] = [en, de];
 
 /** The first language that the page speaks among those wished for. */
 export function chooseText(wishes: readonly string[]): Text {
@@ -24,18 +24,26 @@ export function chooseText(wishes: readonly string[]): Text {
 export interface Speech {
   text: Text;
   format: Format;
+  choose(language: string): void;
 }
 
 interface Spoken {
-  text: Text;
+  /** Changes when another language is chosen. */
+  text: ReadonlySignal<Text>;
   /** Changes with the zone in which times are told. */
   format: ReadonlySignal<Format>;
+  /** Chooses a language, by its two letters, for this browser. */
+  choose(language: string): void;
 }
 
-export const SpeechContext = createContext<Spoken>({ text: en, format: signal(new Format("en")) });
+export const SpeechContext = createContext<Spoken>({
+  text: signal(en),
+  format: signal(new Format("en")),
+  choose: () => {},
+});
 
 /** Words and numbers in the page's language. */
 export function useSpeech(): Speech {
-  const { text, format } = useContext(SpeechContext);
-  return { text, format: format.value };
+  const { text, format, choose } = useContext(SpeechContext);
+  return { text: text.value, format: format.value, choose };
 }

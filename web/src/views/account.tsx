@@ -6,16 +6,19 @@ import {
   addUser,
   changePassword,
   changeUser,
+  fetchMe,
   fetchTokens,
   fetchUsers,
+  type NewToken,
   ROLES,
   type Role,
   removeUser,
   revokeToken,
 } from "../api/accounts";
-import { reasonOf } from "../api/http";
 import type { ViewProps } from "../app";
 import { useAsked } from "../components/async";
+import { reasonOf } from "../components/reason";
+import { TableHead } from "../components/table-head";
 import { mayAdminister, me, setMe } from "../store/people";
 import { useSpeech } from "../text";
 
@@ -45,6 +48,7 @@ export default function AccountPage(_props: ViewProps) {
 
 /** Runs what a form asks for, and keeps why it failed. */
 function useSending() {
+  const { text } = useSpeech();
   const failure = useSignal<string | null>(null);
   const done = useSignal<string | null>(null);
   const send = async (action: () => Promise<unknown>, said: string | null = null) => {
@@ -55,7 +59,7 @@ function useSending() {
       done.value = said;
       return true;
     } catch (error) {
-      failure.value = reasonOf(error);
+      failure.value = reasonOf(error, text);
       return false;
     }
   };
@@ -125,7 +129,12 @@ function Tokens({ most }: { most: Role }) {
   const { text, format } = useSpeech();
   const asked = useAsked("tokens", fetchTokens);
   const { send, said } = useSending();
-  const fresh = useSignal<string | null>(null);
+  const fresh = useSignal<NewToken | null>(null);
+  const revoke = async (id: string) => {
+    await revokeToken(id);
+    // What opens nothing any more need not be copied.
+    if (fresh.value?.token.id === id) fresh.value = null;
+  };
   return (
     <section aria-labelledby="tokens-title">
       <h2 id="tokens-title">{text.account.tokens}</h2>
@@ -142,7 +151,7 @@ function Tokens({ most }: { most: Role }) {
               fields.get("role") as Role,
               Number(fields.get("days")),
             );
-            fresh.value = made.secret;
+            fresh.value = made;
             form.reset();
           };
           void send(make).then(asked.again);
@@ -163,22 +172,22 @@ function Tokens({ most }: { most: Role }) {
       </form>
       {fresh.value !== null && (
         <p class="secret" role="status">
-          {text.account.secret} <code>{fresh.value}</code>
+          {text.account.secret} <code>{fresh.value.secret}</code>
         </p>
       )}
       {said}
       {(asked.value ?? []).length > 0 && (
         <table class="table">
-          <thead>
-            <tr>
-              <th scope="col">{text.account.label}</th>
-              <th scope="col">{text.account.user}</th>
-              <th scope="col">{text.account.role}</th>
-              <th scope="col">{text.account.expires}</th>
-              <th scope="col">{text.account.lastUsed}</th>
-              <td />
-            </tr>
-          </thead>
+          <TableHead
+            names={[
+              text.account.label,
+              text.account.user,
+              text.account.role,
+              text.account.expires,
+              text.account.lastUsed,
+              null,
+            ]}
+          />
           <tbody>
             {(asked.value ?? []).map((token) => (
               <tr key={token.id}>
@@ -192,7 +201,7 @@ function Tokens({ most }: { most: Role }) {
                     type="button"
                     class="button"
                     aria-label={text.account.revokeLabel(token.label)}
-                    onClick={() => void send(() => revokeToken(token.id)).then(asked.again)}
+                    onClick={() => void send(() => revoke(token.id)).then(asked.again)}
                   >
                     {text.account.revoke}
                   </button>
@@ -210,18 +219,16 @@ function Users({ own }: { own: string }) {
   const { text, format } = useSpeech();
   const asked = useAsked("users", fetchUsers);
   const { send, said } = useSending();
+  const change = async (name: string, role: Role) => {
+    await changeUser(name, { role });
+    // What one may do oneself is offered anew.
+    if (name === own) setMe(await fetchMe());
+  };
   return (
     <section aria-labelledby="users-title">
       <h2 id="users-title">{text.account.users}</h2>
       <table class="table">
-        <thead>
-          <tr>
-            <th scope="col">{text.account.user}</th>
-            <th scope="col">{text.account.role}</th>
-            <th scope="col">{text.account.created}</th>
-            <td />
-          </tr>
-        </thead>
+        <TableHead names={[text.account.user, text.account.role, text.account.created, null]} />
         <tbody>
           {(asked.value ?? []).map((user) => (
             <tr key={user.name}>
@@ -231,9 +238,7 @@ function Users({ own }: { own: string }) {
                   aria-label={text.account.roleOf(user.name)}
                   value={user.role}
                   onChange={(event) =>
-                    void send(() => changeUser(user.name, { role: event.currentTarget.value as Role })).then(
-                      asked.again,
-                    )
+                    void send(() => change(user.name, event.currentTarget.value as Role)).then(asked.again)
                   }
                 >
                   {ROLES.map((role) => (

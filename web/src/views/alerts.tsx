@@ -1,14 +1,14 @@
 /** Alerts: those that are open, to be acknowledged, and those that were. */
 
 import { useSignal } from "@preact/signals";
-import { type AlertView, acknowledge, fetchAlerts } from "../api/alerts";
-import { reasonOf } from "../api/http";
+import { type AlertView, acknowledge, fetchAlerts, fetchOpenAlerts } from "../api/alerts";
 import type { ViewProps } from "../app";
-import { alertWords } from "../components/alert-bar";
+import { alertWords } from "../components/alert-words";
 import { useAsked } from "../components/async";
 import { focusOnce } from "../components/focus";
+import { reasonOf } from "../components/reason";
 import { paths } from "../route";
-import { openAlerts, takeAlert } from "../store/alerts";
+import { alertsTold, inOrder, openAlerts, takeAlert } from "../store/alerts";
 import { useDesk } from "../store/context";
 import { mayOperate } from "../store/people";
 import { useSpeech } from "../text";
@@ -16,12 +16,29 @@ import { useSpeech } from "../text";
 const REFRESH_MS = 15_000;
 
 export default function AlertsPage(_props: ViewProps) {
-  const { choices } = useDesk();
+  const { store, choices } = useDesk();
   const { text } = useSpeech();
-  const history = useAsked("alerts", () => fetchAlerts({}), REFRESH_MS);
-  const open = openAlerts.value;
-  const openIds = new Set(open.map(({ id }) => id));
-  const before = (history.value?.alerts ?? []).filter(({ id }) => !openIds.has(id));
+  const pages = useSignal(1);
+  // The live connection brings those that are open, at once; without it they are asked for.
+  const live = alertsTold.value && store.calm.value.link.phase === "open";
+  const liveIds = live ? openAlerts.value.map(({ id }) => id).join() : "";
+  const asked = useAsked(
+    live ? "" : "open",
+    async (signal) => (live ? null : inOrder(await fetchOpenAlerts(signal))),
+    live ? null : REFRESH_MS,
+  );
+  // One that is over moves from the one list to the other.
+  const history = useAsked(
+    `${pages.value} ${liveIds}`,
+    (signal) => fetchAlerts("cleared", pages.value, signal),
+    REFRESH_MS,
+  );
+  const open = live ? openAlerts.value : asked.value;
+  const before = history.value?.alerts ?? [];
+  const changed = () => {
+    asked.again();
+    history.again();
+  };
   return (
     <div class="sheet">
       <div class="section-head">
@@ -37,12 +54,14 @@ export default function AlertsPage(_props: ViewProps) {
       </div>
       <section aria-labelledby="open-alerts">
         <h2 id="open-alerts">
-          {text.alerts.open} <span class="count">{open.length}</span>
+          {text.alerts.open} {open !== null && <span class="count">{open.length}</span>}
         </h2>
-        {open.length === 0 && <p class="empty">{text.alerts.none}</p>}
+        {asked.failure !== null && <p class="failure">{asked.failure}</p>}
+        {open === null && asked.failure === null && <p class="empty">{text.alerts.waiting}</p>}
+        {open?.length === 0 && <p class="empty">{text.alerts.none}</p>}
         <ul class="alert-list">
-          {open.map((alert) => (
-            <AlertRow key={alert.id} alert={alert} changed={history.again} />
+          {open?.map((alert) => (
+            <AlertRow key={alert.id} alert={alert} changed={changed} />
           ))}
         </ul>
       </section>
@@ -52,9 +71,14 @@ export default function AlertsPage(_props: ViewProps) {
         {history.value !== null && before.length === 0 && <p class="empty">{text.alerts.noHistory}</p>}
         <ul class="alert-list">
           {before.map((alert) => (
-            <AlertRow key={alert.id} alert={alert} changed={history.again} />
+            <AlertRow key={alert.id} alert={alert} changed={changed} />
           ))}
         </ul>
+        {history.value?.more && (
+          <button type="button" class="button" onClick={() => (pages.value += 1)}>
+            {text.alerts.showMore}
+          </button>
+        )}
       </section>
     </div>
   );
@@ -66,6 +90,7 @@ function AlertRow({ alert, changed }: { alert: AlertView; changed(): void }) {
   const writing = useSignal(false);
   const failure = useSignal<string | null>(null);
   const name = alert.machine === null ? undefined : store.calm.value.machines.get(alert.machine)?.view.name;
+  const words = alertWords(alert, name, text, format);
   const when = (time: string) => format.dateTime(Date.parse(time));
   const send = async (note: string) => {
     try {
@@ -73,7 +98,7 @@ function AlertRow({ alert, changed }: { alert: AlertView; changed(): void }) {
       writing.value = false;
       failure.value = null;
     } catch (error) {
-      failure.value = reasonOf(error);
+      failure.value = reasonOf(error, text);
     }
     changed();
   };
@@ -82,11 +107,7 @@ function AlertRow({ alert, changed }: { alert: AlertView; changed(): void }) {
       <span class="alert-severity">{text.alerts.severities[alert.severity]}</span>
       <div class="alert-main">
         <p class="alert-message">
-          {alert.machine === null ? (
-            alertWords(alert, name)
-          ) : (
-            <a href={paths.machine(alert.machine)}>{alertWords(alert, name)}</a>
-          )}
+          {alert.machine === null ? words : <a href={paths.machine(alert.machine)}>{words}</a>}
         </p>
         <p class="alert-facts">
           {text.alerts.states[alert.state]} · {text.alerts.rules[alert.rule]} ·{" "}

@@ -2,34 +2,37 @@
 
 import { useSignal } from "@preact/signals";
 import { useEffect, useMemo } from "preact/hooks";
-import { reasonOf } from "../api/http";
+import { fetchShadow, type ShadowCell } from "../api/shadow-map";
 import type { ViewProps } from "../app";
+import { useAsked } from "../components/async";
 import { MachineList } from "../components/machine-list";
+import { reasonOf } from "../components/reason";
 import { SiteFrame } from "../geometry/geodesy";
 import { Plan } from "../plan/plan";
-import {
-  fetchPlan,
-  fetchShadow,
-  type PlanFeature,
-  putPlan,
-  readPlan,
-  type ShadowCell,
-} from "../plan/site-plan";
+import { fetchPlan, type PlanFeature, putPlan, readPlan } from "../plan/site-plan";
 import { useDesk } from "../store/context";
 import { mayAdminister } from "../store/people";
 import { useSpeech } from "../text";
 
 const SHADOW_REFRESH_MS = 60_000;
 const SHADOW_CELL_M = 2;
+const NO_CELLS: readonly ShadowCell[] = [];
 
 export default function LiveView(_props: ViewProps) {
   const { choices } = useDesk();
   const { text } = useSpeech();
   const plan = useSitePlan();
-  const shadow = useShadow(choices.shadow.value);
+  // Where GNSS was missing in the last week.
+  const wanted = choices.shadow.value;
+  const shadow = useAsked(
+    wanted ? "shadow" : "",
+    async (signal) => (wanted ? fetchShadow({ cell_m: SHADOW_CELL_M }, signal) : []),
+    wanted ? SHADOW_REFRESH_MS : null,
+  );
+  const said = plan.said ?? (shadow.failure === null ? null : text.plan.shadowFailed(shadow.failure));
   return (
     <>
-      <Plan features={plan.features} shadow={shadow}>
+      <Plan features={plan.features} shadow={shadow.value ?? NO_CELLS}>
         <button
           type="button"
           aria-pressed={choices.shadow.value}
@@ -53,9 +56,9 @@ export default function LiveView(_props: ViewProps) {
             />
           </label>
         )}
-        {plan.said !== null && (
+        {said !== null && (
           <p class="plan-said" role="status">
-            {plan.said}
+            {said}
           </p>
         )}
       </Plan>
@@ -86,7 +89,7 @@ export function useSitePlan() {
     try {
       features.value = await fetchPlan(frame);
     } catch (error) {
-      said.value = text.plan.planFailed(reasonOf(error));
+      said.value = text.plan.planFailed(reasonOf(error, text));
     }
   };
   useEffect(() => void fetchNow(), [frame]);
@@ -98,35 +101,8 @@ export function useSitePlan() {
       await fetchNow();
       said.value = text.plan.uploaded;
     } catch (error) {
-      said.value = text.plan.planFailed(reasonOf(error));
+      said.value = text.plan.planFailed(reasonOf(error, text));
     }
   };
   return { features: features.value, said: said.value, upload };
-}
-
-/** Where GNSS was missing in the last week. */
-export function useShadow(wanted: boolean): readonly ShadowCell[] {
-  const cells = useSignal<readonly ShadowCell[]>([]);
-  useEffect(() => {
-    if (!wanted) {
-      cells.value = [];
-      return;
-    }
-    let gone = false;
-    const refresh = async () => {
-      try {
-        const found = await fetchShadow({ cell_m: SHADOW_CELL_M });
-        if (!gone) cells.value = found;
-      } catch {
-        // The layer stays as it was; the banner says if the site is gone.
-      }
-    };
-    void refresh();
-    const timer = window.setInterval(refresh, SHADOW_REFRESH_MS);
-    return () => {
-      gone = true;
-      window.clearInterval(timer);
-    };
-  }, [wanted]);
-  return cells.value;
 }

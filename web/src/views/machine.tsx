@@ -2,11 +2,11 @@
 
 import { useSignal } from "@preact/signals";
 import { useEffect } from "preact/hooks";
-import { fetchHistory } from "../api/machines";
+import { fetchConfiguration, fetchHistory } from "../api/machines";
 import { fetchOutages } from "../api/outages";
 import type { StatePoint } from "../api/types";
 import type { ViewProps } from "../app";
-import { useAsked } from "../components/async";
+import { poll, useAsked } from "../components/async";
 import { BudgetLine } from "../components/budget";
 import { SeverityIcon } from "../components/icons";
 import { Numbers, Outage } from "../components/machine-details";
@@ -14,7 +14,8 @@ import { SensorTable } from "../components/sensor-table";
 import { StateLanes, StatePlots } from "../components/state-plots";
 import { paths } from "../route";
 import { useDesk } from "../store/context";
-import { HEALTH_FRESH_S, healthAge_s, isStale, shownSeverity } from "../store/freshness";
+import { healthAge_s, healthIsFresh, isStale, shownSeverity } from "../store/freshness";
+import type { Machine, State } from "../store/store";
 import { useSpeech } from "../text";
 
 const REFRESH_MS = 2_000;
@@ -41,11 +42,10 @@ export default function MachineView({ route }: ViewProps) {
   }
   const { view } = machine;
   const severity = shownSeverity(state, machine);
-  const healthAge = healthAge_s(state, machine);
+  const fresh = healthIsFresh(state, machine);
   const to_s = (state.siteTime_ms ?? Date.now()) / 1000;
   const span: [number, number] = [to_s - minutes.value * 60, to_s];
   const tolerance_m = view.gnss.outage?.budget?.tolerance_m ?? null;
-  const taking = (view.health?.report.sensors ?? []).filter(({ rate_hz }) => rate_hz > 0);
   return (
     <div class="sheet sheet-wide">
       <div class={`machine-head card-${severity}${isStale(state, machine) ? " stale-card" : ""}`}>
@@ -61,7 +61,7 @@ export default function MachineView({ route }: ViewProps) {
           </a>
         </span>
       </div>
-      <BudgetLine gnss={view.gnss} />
+      <BudgetLine machine={machine} state={state} />
       <div class="machine-columns">
         <section aria-labelledby="plots-title">
           <div class="section-head">
@@ -91,23 +91,18 @@ export default function MachineView({ route }: ViewProps) {
           </section>
           <section aria-labelledby="sensors-title">
             <h2 id="sensors-title">{text.details.sensors}</h2>
-            <p class="takes-part">
-              {taking.length === 0
-                ? text.machine.noSensorNow
-                : text.machine.takesPart(taking.map(({ sensor }) => text.sensor[sensor]).join(", "))}
+            <p class={`takes-part${fresh ? "" : " stale"}`}>
+              <TakesPart machine={machine} state={state} />
             </p>
             <SensorTable
               sensors={view.health?.report.sensors ?? []}
-              extraAge_s={healthAge}
-              stale={healthAge !== null && healthAge > HEALTH_FRESH_S}
+              extraAge_s={healthAge_s(state, machine)}
+              stale={!fresh}
             />
           </section>
           <section aria-labelledby="outage-title">
             <h2 id="outage-title">{text.details.outage}</h2>
-            <Outage
-              outage={view.health?.report.outage ?? null}
-              stamp_ns={view.health?.report.stamp_ns ?? null}
-            />
+            <Outage machine={machine} state={state} />
             <ul class="plain-list">
               {(recent.value?.outages ?? []).slice(0, 8).map((outage) => (
                 <li key={outage.id}>
@@ -137,6 +132,8 @@ export default function MachineView({ route }: ViewProps) {
                 </>
               )}
             </dl>
+            {/* Another start of its program may have another one. */}
+            <Configuration key={view.boot} id={id} />
           </section>
         </div>
       </div>
@@ -144,17 +141,67 @@ export default function MachineView({ route }: ViewProps) {
   );
 }
 
+/** The machine file, asked of the machine when somebody wants to see it. */
+function Configuration({ id }: { id: string }) {
+  const { text } = useSpeech();
+  const wanted = useSignal(false);
+  return (
+    <details
+      class="configuration"
+      onToggle={(event) => {
+        wanted.value = event.currentTarget.open;
+      }}
+    >
+      <summary>{text.machine.configuration}</summary>
+      {wanted.value && <MachineFile id={id} />}
+    </details>
+  );
+}
+
+function MachineFile({ id }: { id: string }) {
+  const { text } = useSpeech();
+  const asked = useAsked(id, (signal) => fetchConfiguration(id, signal));
+  if (asked.failure !== null) {
+    return <p class="failure">{text.machine.configurationFailed(asked.failure)}</p>;
+  }
+  if (asked.value === null) {
+    return (
+      <p class="empty" role="status">
+        {text.machine.configurationAsked}
+      </p>
+    );
+  }
+  return (
+    <>
+      <p class="empty">{text.machine.configurationHint}</p>
+      {/* biome-ignore lint/a11y/noNoninteractiveTabindex: what scrolls has to be reached by the keyboard. */}
+      <pre tabIndex={0}>{asked.value.machine_file}</pre>
+    </>
+  );
+}
+
+/** Which sensors the estimate is made of; of a machine that is not heard, which they were. */
+function TakesPart({ machine, state }: { machine: Machine; state: State }) {
+  const { text, format } = useSpeech();
+  const age_s = healthAge_s(state, machine);
+  if (age_s === null) return <>{text.machine.nothingTold}</>;
+  const sensors = machine.view.health?.report.sensors ?? [];
+  const names = sensors.filter(({ rate_hz }) => rate_hz > 0).map(({ sensor }) => text.sensor[sensor]);
+  const words = text.machine;
+  if (!healthIsFresh(state, machine)) return <>{words.tookPart(names.join(", "), format.age(age_s))}</>;
+  return <>{names.length === 0 ? words.noSensorNow : words.takesPart(names.join(", "))}</>;
+}
+
 /** The last hour, with the site's clock as time; asks only for what is new. */
 function usePast(id: string): readonly StatePoint[] {
   const states = useSignal<readonly StatePoint[]>([]);
   useEffect(() => {
-    let gone = false;
     let since: string | null = null;
     states.value = [];
-    const refresh = async () => {
+    return poll(async (signal) => {
       try {
-        const answer = await fetchHistory(id, since);
-        if (gone || answer.start === null) return;
+        const answer = await fetchHistory(id, since, signal);
+        if (signal.aborted || answer.start === null) return;
         const start_s = Date.parse(answer.start) / 1000;
         since = answer.last;
         const fresh = answer.states.map((state) => ({ ...state, time_s: start_s + state.time_s }));
@@ -163,13 +210,7 @@ function usePast(id: string): readonly StatePoint[] {
       } catch {
         // What is there stays; the banner says if the site is gone.
       }
-    };
-    void refresh();
-    const timer = window.setInterval(refresh, REFRESH_MS);
-    return () => {
-      gone = true;
-      window.clearInterval(timer);
-    };
+    }, REFRESH_MS);
   }, [id]);
   return states.value;
 }

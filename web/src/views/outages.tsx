@@ -1,32 +1,25 @@
-/** Where and when GNSS was missing: lanes, list, statistics, and one outage with its way. */
+/** Where and when GNSS was missing: lanes, list, statistics, shadows. */
 
-import { signal, useSignal } from "@preact/signals";
-import { useEffect, useMemo } from "preact/hooks";
-import {
-  fetchOutage,
-  fetchOutages,
-  fetchStatistics,
-  type OutageDetail,
-  type OutageView,
-} from "../api/outages";
-import { fetchSessions } from "../api/sessions";
+import { useSignal } from "@preact/signals";
+import { Fragment } from "preact";
+import { useEffect } from "preact/hooks";
+import { fetchOutages, fetchStatistics, type OutageView } from "../api/outages";
+import { fetchShadow, type ShadowCell } from "../api/shadow-map";
 import { FIX_STATES, type FixState } from "../api/types";
 import type { ViewProps } from "../app";
 import { useAsked } from "../components/async";
 import { type Lane, Lanes } from "../components/lanes";
-import { TimePlot } from "../components/time-plot";
+import { extentOf, useEmptyDesk, useNames } from "../components/past-plan";
+import { TableHead } from "../components/table-head";
 import type { Metres } from "../geometry/geodesy";
-import type { Palette } from "../plan/palette";
+import type { PlanPainter } from "../plan/painter";
 import { Plan } from "../plan/plan";
-import { fetchShadow } from "../plan/site-plan";
-import type { Shape } from "../plan/view";
 import { note, paths } from "../route";
-import { type Choices, DeskContext, type Source, useDesk } from "../store/context";
-import type { State } from "../store/store";
+import { DeskContext, useDesk } from "../store/context";
 import { useSpeech } from "../text";
 import { useSitePlan } from "./live";
 
-export const FIX_COLOURS: Record<FixState, string> = {
+const FIX_COLOURS: Record<FixState, string> = {
   fixed: "--gnss-fixed",
   float: "--gnss-float",
   degraded: "--gnss-degraded",
@@ -43,13 +36,11 @@ const HOUR_S = 3_600;
 const PERIODS_H = [1, 24, 168, 720] as const;
 const REFRESH_MS = 10_000;
 const SHADOW_CELL_M = 2;
+const SHADOW_REFRESH_MS = 60_000;
+const NO_CELLS: readonly ShadowCell[] = [];
 const LEAST_S = [0, 5, 30, 60, 300] as const;
 
-export default function OutagesPage({ route }: ViewProps) {
-  return route.view === "outage" ? <Detail id={route.id ?? ""} /> : <Overview query={route.query} />;
-}
-
-function Overview({ query }: { query: URLSearchParams }) {
+export default function OutagesPage({ route: { query } }: ViewProps) {
   const { store } = useDesk();
   const { text, format } = useSpeech();
   const words = text.outages;
@@ -180,6 +171,16 @@ function Overview({ query }: { query: URLSearchParams }) {
           {words.print}
         </button>
       </div>
+      {/* On paper the fields are gone: what they were set to is not. */}
+      <p class="print-only print-filter">
+        {[
+          `${words.period}: ${words.periods(hours.value)}`,
+          `${words.machine}: ${machine.value === "" ? words.all : (names.get(machine.value) ?? machine.value)}`,
+          `${words.cause}: ${cause.value === "" ? words.all : text.fix[cause.value]}`,
+          `${words.atLeast}: ${least_s.value === 0 ? words.any : format.span(least_s.value)}`,
+          ...(open.value === "open" ? [words.onlyOpen] : []),
+        ].join(" · ")}
+      </p>
       {asked.failure !== null && <p class="failure">{asked.failure}</p>}
       <Lanes wide lanes={lanes} span={span} />
       <p class="lane-axis">
@@ -199,38 +200,43 @@ function Overview({ query }: { query: URLSearchParams }) {
           <h2 id="statistics-title">{words.statistics}</h2>
           {statistics.failure !== null && <p class="failure">{statistics.failure}</p>}
           <table class="table">
-            <thead>
-              <tr>
-                <th scope="col">{words.machine}</th>
-                <th scope="col">{words.count}</th>
-                <th scope="col">{words.total}</th>
-                <th scope="col">{words.longest}</th>
-                <th scope="col">{words.share}</th>
-                <th scope="col">{words.maxSigma}</th>
-                <th scope="col">{words.maxJump}</th>
-              </tr>
-            </thead>
+            <TableHead
+              names={[
+                words.machine,
+                words.count,
+                words.total,
+                words.longest,
+                words.share,
+                words.maxSigma,
+                words.maxJump,
+              ]}
+            />
             <tbody>
               {(statistics.value?.machines ?? []).map(({ machine: id, total, days }) => (
-                <>
-                  <tr key={id} class="table-strong">
+                <Fragment key={id}>
+                  <tr class="table-strong">
                     <th scope="row">{names.get(id) ?? id}</th>
                     <TallyCells tally={total} />
                   </tr>
                   {days.length > 1 &&
                     days.map((day) => (
-                      <tr key={`${id} ${day.day}`}>
+                      <tr key={day.day}>
                         <th scope="row" class="table-sub">
                           {day.day}
                         </th>
                         <TallyCells tally={day} />
                       </tr>
                     ))}
-                </>
+                </Fragment>
               ))}
             </tbody>
           </table>
-          <p class="zone">{text.machine.timesIn(format.zoneName(siteNow_ms))}</p>
+          {/* The site cuts days at its own midnight, whatever zone the page tells times in. */}
+          {statistics.value !== null && (
+            <p class="zone" data-days-in={statistics.value.time_zone}>
+              {words.daysIn(statistics.value.time_zone)}
+            </p>
+          )}
           <ShadowPlan hours={hours.value} machine={machine.value} />
         </section>
       </div>
@@ -269,17 +275,17 @@ function OutageTable({ outages, names }: { outages: OutageView[]; names: Map<str
   const words = text.outages;
   return (
     <table class="table">
-      <thead>
-        <tr>
-          <th scope="col">{words.began}</th>
-          <th scope="col">{words.machine}</th>
-          <th scope="col">{words.cause}</th>
-          <th scope="col">{words.lasted}</th>
-          <th scope="col">{words.travelled}</th>
-          <th scope="col">{words.maxSigma}</th>
-          <th scope="col">{words.jump}</th>
-        </tr>
-      </thead>
+      <TableHead
+        names={[
+          words.began,
+          words.machine,
+          words.cause,
+          words.lasted,
+          words.travelled,
+          words.maxSigma,
+          words.jump,
+        ]}
+      />
       <tbody>
         {outages.map((outage) => (
           <tr key={outage.id} data-outage={outage.id}>
@@ -312,218 +318,46 @@ function OutageTable({ outages, names }: { outages: OutageView[]; names: Map<str
 /** The plan with the shadows of the period, and without machines. */
 function ShadowPlan({ hours, machine }: { hours: number; machine: string }) {
   const desk = useDesk();
+  const empty = useEmptyDesk();
   const { text } = useSpeech();
   const plan = useSitePlan();
+  const painter = useSignal<PlanPainter | null>(null);
   const from = () =>
     new Date((desk.store.calm.peek().siteTime_ms ?? Date.now()) - hours * HOUR_S * 1000).toISOString();
-  const cells = useAsked(`${hours} ${machine}`, () =>
-    fetchShadow({ cell_m: SHADOW_CELL_M, from: from(), machine: machine || null }),
+  const asked = useAsked(
+    `${hours} ${machine}`,
+    (signal) => fetchShadow({ cell_m: SHADOW_CELL_M, from: from(), machine: machine || null }, signal),
+    SHADOW_REFRESH_MS,
   );
+  const cells = asked.value ?? NO_CELLS;
+  const some = cells.length > 0;
+  // The camera goes where something was observed, once; then it is the person's.
+  useEffect(() => {
+    const extent = extentOf(
+      cells.flatMap(({ east_m, north_m, cell_m }): Metres[] => [
+        [east_m, north_m],
+        [east_m + cell_m, north_m + cell_m],
+      ]),
+    );
+    if (extent !== null) painter.value?.show(extent);
+  }, [some, painter.value]);
   return (
     <>
       <h2>{text.outages.shadow}</h2>
-      <div class="inset-plan">
-        <Plan features={plan.features} shadow={cells.value ?? []} />
-      </div>
+      {asked.failure !== null && <p class="failure">{text.plan.shadowFailed(asked.failure)}</p>}
+      <DeskContext.Provider value={empty}>
+        <div class="inset-plan" data-shadow-cells={cells.length}>
+          <Plan
+            features={plan.features}
+            shadow={cells}
+            onReady={(made) => {
+              painter.value = made;
+            }}
+          />
+        </div>
+      </DeskContext.Provider>
     </>
   );
-}
-
-function Detail({ id }: { id: string }) {
-  const { store } = useDesk();
-  const { text, format } = useSpeech();
-  const words = text.outages;
-  const asked = useAsked(id, () => fetchOutage(id), REFRESH_MS / 2);
-  const sessions = useAsked(id, fetchSessions);
-  const names = useNames();
-  const outage = asked.value;
-  if (outage === null) {
-    return (
-      <div class="sheet" aria-busy={asked.failure === null}>
-        <h1>{text.views.outage}</h1>
-        {asked.failure !== null && <p class="failure">{asked.failure}</p>}
-        <a href={paths.outages()}>{text.views.outages}</a>
-      </div>
-    );
-  }
-  const start_ms = Date.parse(outage.start);
-  const recorded = sessions.value?.sessions.find(
-    ({ started, ended }) =>
-      Date.parse(started) <= start_ms && (ended === null || Date.parse(ended) >= start_ms),
-  );
-  const facts: [string, string][] = [
-    [words.cause, text.fix[outage.cause]],
-    [words.began, format.dateTime(start_ms)],
-    [words.ended, outage.end === null ? words.goesOn : format.dateTime(Date.parse(outage.end))],
-    ...(outage.ended_by === null
-      ? []
-      : [[words.endedBy, words.endings[outage.ended_by]] as [string, string]]),
-    [words.lasted, format.span(outage.duration_s)],
-    [words.travelled, format.metres(outage.travelled_m, 1)],
-    [
-      words.sigma,
-      `${format.smallLength(outage.position_sigma.start_m)} → ${format.smallLength(outage.position_sigma.last_m)}, ${words.atMost} ${format.smallLength(outage.position_sigma.max_m)}`,
-    ],
-    [words.jump, format.smallLength(outage.jump_m)],
-    ...(outage.place === null
-      ? []
-      : [
-          [
-            words.place,
-            `${text.plan.east} ${format.number(outage.place.position_m[0], 2)} m, ${text.plan.north} ${format.number(outage.place.position_m[1], 2)} m; ${format.degrees(outage.place.latitude_deg, 7)}, ${format.degrees(outage.place.longitude_deg, 7)}`,
-          ] as [string, string],
-        ]),
-  ];
-  return (
-    <div class="sheet sheet-wide" data-outage-detail={outage.id}>
-      <div class="section-head">
-        <h1>
-          {names.get(outage.machine) ?? outage.machine}: {text.fix[outage.cause]},{" "}
-          {format.span(outage.duration_s)}
-        </h1>
-        <span class="print-only">{store.calm.value.site?.name}</span>
-        <span class="button-row no-print">
-          {recorded !== undefined && (
-            <a class="button button-main" href={paths.replay(recorded.id, outage.start, outage.machine)}>
-              {words.replay}
-            </a>
-          )}
-          <a class="button" href={paths.machine(outage.machine)}>
-            {words.toMachine}
-          </a>
-          <button type="button" class="button" onClick={() => window.print()}>
-            {words.print}
-          </button>
-          <a href={paths.outages()}>{words.back}</a>
-        </span>
-      </div>
-      <div class="outage-columns">
-        <section aria-label={words.facts}>
-          <dl class="pairs">
-            {facts.map(([name, value]) => (
-              <>
-                <dt key={name}>{name}</dt>
-                <dd>{value}</dd>
-              </>
-            ))}
-          </dl>
-          <SigmaPlots outage={outage} />
-        </section>
-        <section aria-label={words.way}>
-          <h2>{words.way}</h2>
-          <WayPlan outage={outage} />
-        </section>
-      </div>
-    </div>
-  );
-}
-
-function SigmaPlots({ outage }: { outage: OutageDetail }) {
-  const { text, format } = useSpeech();
-  const times_s = useMemo(() => outage.sigma.map(({ time_s }) => time_s), [outage]);
-  const lines = useMemo(
-    () => ({
-      sigma: [
-        {
-          label: text.plot.sigma,
-          colour: "--sigma",
-          values: outage.sigma.map(({ position_sigma_m }) => position_sigma_m * 100),
-        },
-      ],
-      way: [
-        {
-          label: text.outages.travelled,
-          colour: "--speed",
-          values: outage.sigma.map(({ travelled_m }) => travelled_m),
-        },
-      ],
-    }),
-    [outage, text],
-  );
-  const span: [number, number] = [0, Math.max(1, outage.duration_s)];
-  const common = {
-    times_s,
-    span,
-    syncKey: "outage",
-    tick: (time_s: number) => format.span(time_s),
-  };
-  return (
-    <div class="plots plots-single">
-      <TimePlot {...common} title={text.plot.sigma} unit="cm" lines={lines.sigma} />
-      <TimePlot {...common} title={text.outages.travelled} unit="m" lines={lines.way} />
-    </div>
-  );
-}
-
-/** A desk whose picture has no machines: the plan of what was. */
-function useEmptyDesk() {
-  const desk = useDesk();
-  return useMemo(() => {
-    const empty = signal<State>({ ...desk.store.calm.peek(), machines: new Map() });
-    const source: Source = { state: empty, calm: empty };
-    const choices: Choices = { ...desk.choices, selected: signal(null), following: signal(false) };
-    return { store: source, choices, recorded: true };
-  }, [desk.store.calm.value.site === null]);
-}
-
-function WayPlan({ outage }: { outage: OutageDetail }) {
-  const empty = useEmptyDesk();
-  const plan = useSitePlan();
-  const points = useMemo(
-    () => outage.track.map(({ position_m }): Metres => [position_m[0], position_m[1]]),
-    [outage.track.length, outage.id],
-  );
-  const extra = useMemo(
-    () => (palette: Palette) => wayShapes(points, palette.gnss[outage.cause], palette),
-    [points, outage.cause],
-  );
-  return (
-    <DeskContext.Provider value={empty}>
-      <div class="inset-plan inset-plan-tall">
-        <Plan
-          features={plan.features}
-          extra={extra}
-          onReady={(painter) => {
-            if (points.length === 0) return;
-            const room_m = 6;
-            const [east, north] = [points.map(([x]) => x), points.map(([, y]) => y)];
-            painter.show({
-              min: [Math.min(...east) - room_m, Math.min(...north) - room_m],
-              max: [Math.max(...east) + room_m, Math.max(...north) + room_m],
-            });
-          }}
-        />
-      </div>
-    </DeskContext.Provider>
-  );
-}
-
-/** The way, with a ring where it began and a square where it ended. */
-function wayShapes(points: readonly Metres[], colour: string, palette: Palette): Shape[] {
-  const [first, last] = [points[0], points.at(-1)];
-  if (first === undefined || last === undefined) return [];
-  const around = ([east, north]: Metres, corners: number): Metres[] =>
-    Array.from({ length: corners + 1 }, (_, index) => {
-      const angle = ((index + 0.5) / corners) * 2 * Math.PI;
-      return [east + 0.6 * Math.cos(angle), north + 0.6 * Math.sin(angle)];
-    });
-  return [
-    { layer: "track", kind: "line", points, stroke: colour, strokeWidth_px: 3 },
-    {
-      layer: "track",
-      kind: "area",
-      points: around(first, 20),
-      fill: palette.ground,
-      stroke: colour,
-      strokeWidth_px: 3,
-    },
-    { layer: "track", kind: "area", points: around(last, 4), fill: colour },
-  ];
-}
-
-function useNames(): Map<string, string> {
-  const { store } = useDesk();
-  return new Map([...store.calm.value.machines].map(([id, { view }]) => [id, view.name]));
 }
 
 function numberOf(written: string | null, allowed: readonly number[], otherwise: number): number {

@@ -1,7 +1,6 @@
 /** What the site has recorded: to replay, to take along, to write notes to. */
 
 import { useSignal } from "@preact/signals";
-import { reasonOf } from "../api/http";
 import {
   editSession,
   exportUrl,
@@ -13,6 +12,7 @@ import {
 import type { SessionView } from "../api/types";
 import type { ViewProps } from "../app";
 import { useAsked } from "../components/async";
+import { reasonOf } from "../components/reason";
 import { paths } from "../route";
 import { useDesk } from "../store/context";
 import { mayOperate } from "../store/people";
@@ -40,7 +40,7 @@ export default function SessionsPage(_props: ViewProps) {
       await action();
       failure.value = null;
     } catch (error) {
-      failure.value = reasonOf(error);
+      failure.value = reasonOf(error, text);
     }
     asked.again();
   };
@@ -186,7 +186,7 @@ function NotesForm({ session, done }: { session: SessionView; done(): void }) {
       await editSession(session.id, { name: written("name"), notes: written("notes"), tags });
       done();
     } catch (error) {
-      failure.value = reasonOf(error);
+      failure.value = reasonOf(error, text);
     }
   };
   return (

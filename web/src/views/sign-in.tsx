@@ -2,9 +2,10 @@
 
 import { useSignal } from "@preact/signals";
 import { signIn } from "../api/accounts";
-import { ApiError, reasonOf } from "../api/http";
+import { ApiError } from "../api/http";
 import type { ViewProps } from "../app";
 import { focusOnce } from "../components/focus";
+import { reasonOf } from "../components/reason";
 import { go, parseRoute, paths } from "../route";
 import { setMe } from "../store/people";
 import { useSpeech } from "../text";
@@ -22,7 +23,7 @@ export default function SignInPage({ route }: ViewProps) {
       go(ownPath(route.query.get("next")), { replace: true });
     } catch (error) {
       failure.value =
-        error instanceof ApiError && error.status === 401 ? text.account.wrong : reasonOf(error);
+        error instanceof ApiError && error.status === 401 ? text.account.wrong : reasonOf(error, text);
     } finally {
       busy.value = false;
     }
