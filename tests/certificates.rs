@@ -1,5 +1,6 @@
 //! The wire with certificates: machines that are who they say they are, and nobody else.
 #![cfg(feature = "shells")]
+#![allow(clippy::disallowed_methods, reason = "tests play machines, who have clocks")]
 
 #[path = "support/authority.rs"]
 mod authority;

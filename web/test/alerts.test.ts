@@ -42,7 +42,7 @@ describe("the words of an alert", () => {
 
   it("are the page's for every rule", () => {
     const rules = Object.keys(en.alerts.rules) as AlertView["rule"][];
-    expect(rules.length).toBe(7);
+    expect(rules.length).toBe(9);
     for (const rule of rules) expect(english({ rule })).not.toContain("gnss_right is silent");
   });
 

@@ -35,5 +35,9 @@ function wordsOf({ rule, part, worst }: AlertView, text: Text, format: Format): 
       const sensor = SENSORS.find((known) => known === part);
       return sensor === undefined ? null : words.sensorSilent(text.sensor[sensor], format.span(worst));
     }
+    case "id_conflict":
+      return words.idConflict(format.span(worst));
+    case "recording_paused":
+      return words.recordingPaused(format.span(worst));
   }
 }
