@@ -154,6 +154,8 @@ export async function views({ checks, watched, origin, ids, screenshots, nothing
     await session.getByLabel("Name").fill("Trench 4");
     await session.getByLabel("Notes").fill("Ditch along the row of poplars");
     await session.getByLabel("Tags").fill("trench, trees");
+    // What was typed stays while the machines go on and the rest of the page is drawn anew.
+    await page.waitForTimeout(2_000);
     await session.getByRole("button", { name: "Save" }).click();
     await page.locator(".tags li", { hasText: "trees" }).waitFor({ timeout: 5_000 });
     const found = async (words) => {

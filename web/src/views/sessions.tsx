@@ -199,15 +199,15 @@ function NotesForm({ session, done }: { session: SessionView; done(): void }) {
     >
       <label>
         {text.recordings.name}
-        <input name="name" value={session.name} />
+        <input name="name" defaultValue={session.name} />
       </label>
       <label>
         {text.recordings.notes}
-        <textarea name="notes" rows={3} value={session.notes} />
+        <textarea name="notes" rows={3} defaultValue={session.notes} />
       </label>
       <label>
         {text.recordings.tagsHint}
-        <input name="tags" value={session.tags.join(", ")} />
+        <input name="tags" defaultValue={session.tags.join(", ")} />
       </label>
       {failure.value !== null && (
         <p class="failure" role="alert">
