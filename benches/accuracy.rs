@@ -1,14 +1,16 @@
 //! How far off the estimate is, over many seeds: with GNSS, through an outage while digging, through one while
 //! driving, under multipath that the receiver does not report; and whether its covariance is meant.
 //!
-//! `cargo bench --no-default-features --bench accuracy -- [SEEDS]` prints the tables that the README quotes, over two
-//! machines each: 25 seeds are 50 runs. The
-//! yardstick of an outage is the sum of the lidar's increments with the true heading and the true standstill: what
-//! lidar odometry could do at best, alone.
+//! `cargo bench --no-default-features --bench accuracy -- [SEEDS] [pseudo-global] [one-gyroscope]` prints the tables that
+//! the README quotes, over two machines each: 25 seeds are 50 runs. `pseudo-global` takes lidar in outages as the paper
+//! does, `one-gyroscope` leaves out the chassis' IMU. The yardstick of an outage is the sum of the lidar's increments with
+//! the true heading and the true standstill: what lidar odometry could do at best, alone; and the same with the
+//! estimate's heading: what that heading leaves of it.
 
 use std::path::Path;
 
 use holdfast::baselines::Kind;
+use holdfast::config::LidarInOutage;
 use holdfast::evaluate::trial::{Setup, Trial, run};
 use holdfast::simulate::{Action, GnssCondition, GnssConditionKind, Scenario};
 
@@ -70,9 +72,20 @@ fn report(title: &str, runs: &[Trial]) {
     }
 }
 
+/// Whether the word is among the arguments.
+fn told(word: &str) -> bool {
+    std::env::args().any(|argument| argument == word)
+}
+
 fn load(name: &str) -> Scenario {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    Scenario::load(&root.join("config/scenarios").join(name)).expect("a valid scenario")
+    let mut scenario = Scenario::load(&root.join("config/scenarios").join(name)).expect("a valid scenario");
+    if told("pseudo-global") {
+        for machine in &mut scenario.machines {
+            machine.lidar_odometry.in_outage = LidarInOutage::PseudoGlobal;
+        }
+    }
+    scenario
 }
 
 /// After their first drive, machines dig where they stand.
@@ -98,7 +111,9 @@ fn seeded(scenario: &Scenario, conditions: &[GnssCondition], seeds: u64) -> Vec<
             scenario.file.seed = 1000 + seed;
             scenario.file.gnss_condition = conditions.to_vec();
             let machines = 0..scenario.machines.len();
-            let trial = |machine| run(&scenario, Setup::new(Kind::Dual, machine), || 0);
+            let without_base_imu = told("one-gyroscope");
+            let trial =
+                |machine| run(&scenario, Setup { without_base_imu, ..Setup::new(Kind::Dual, machine) }, || 0);
             machines.map(trial).collect::<Vec<_>>()
         })
         .collect()
