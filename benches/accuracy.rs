@@ -22,16 +22,18 @@ fn median(values: &mut [f64]) -> f64 {
 fn report(title: &str, runs: &[Trial]) {
     let over = |value: &dyn Fn(&Trial) -> f64| {
         let mut values: Vec<f64> = runs.iter().map(value).collect();
+        let square_mean = values.iter().map(|value| value.powi(2)).sum::<f64>() / values.len() as f64;
         let middle = median(&mut values);
-        (middle, values[values.len() - 1])
+        [middle, values[values.len() - 1], square_mean.sqrt()]
     };
-    println!("\n{title}: {} runs, median and largest", runs.len());
-    let line = |what: &str, (middle, largest): (f64, f64), unit: &str| {
-        println!("  {what:<52} {middle:8.3} {largest:8.3} {unit}");
+    println!("\n{title}: {} runs, median, largest and root mean square", runs.len());
+    let line = |what: &str, [middle, largest, rms]: [f64; 3], unit: &str| {
+        println!("  {what:<52} {middle:8.3} {largest:8.3} {rms:8.3} {unit}");
     };
     line("position RMSE, GNSS good", over(&|run| 100.0 * run.good.rmse_m()), "cm");
     line("heading RMSE, GNSS good", over(&|run| run.good.heading_rmse_deg()), "°");
     line("position RMSE in the outage", over(&|run| 100.0 * run.outage.rmse_m()), "cm");
+    line("heading RMSE in the outage", over(&|run| run.outage.heading_rmse_deg()), "°");
     line("largest error in the outage", over(&|run| 100.0 * run.outage.largest_m), "cm");
     line("yardstick: lidar, true heading and standstill, RMSE", over(&|run| 100.0 * run.yardstick_m), "cm");
     line("the same with the estimate's heading", over(&|run| 100.0 * run.yardstick_own_heading_m), "cm");
