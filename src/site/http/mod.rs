@@ -5,6 +5,7 @@ mod alerts;
 mod api;
 mod assets;
 mod audit;
+mod basemap;
 mod buckets;
 mod configuration;
 mod docs;
@@ -24,6 +25,7 @@ mod place;
 mod plan;
 mod problem;
 mod query;
+mod ranges;
 mod ready;
 mod routes;
 mod sessions;
@@ -58,6 +60,7 @@ use super::sessions::{Catalogue, Command, Progress};
 use crate::config;
 use crate::fleet::Alert;
 use crate::frames::geodesy::SiteFrame;
+pub(super) use basemap::Basemap;
 pub(super) use export::turnstile;
 pub(super) use hour::Hour;
 pub(super) use plan::Plan;
@@ -92,6 +95,8 @@ pub(super) struct Shared {
     pub stopped: watch::Receiver<bool>,
     pub people: Arc<People>,
     pub plan: Plan,
+    /// `None` where the site file names none.
+    pub basemap: Option<Arc<Basemap>>,
 }
 
 /// What the handlers see of the alerts.
@@ -144,6 +149,8 @@ fn routes() -> Routes {
         .viewer(routes!(live::live))
         .viewer(routes!(plan::plan))
         .admin(routes!(plan::put).layer(plan_body))
+        .viewer(routes!(basemap::map))
+        .viewer(routes!(basemap::basemap))
         .viewer(routes!(alerts::list))
         .operator(routes!(alerts::acknowledge))
         .operator(routes!(alerts::test))
