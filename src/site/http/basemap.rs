@@ -22,8 +22,8 @@ use crate::record::Piece;
 const KEY: &str = "map.basemap_file";
 /// Length of a PMTiles header, version 3.
 const HEADER_BYTES: usize = 127;
-/// No zoom is deeper: a tile is a centimetre there.
-const ZOOM_MAX: u8 = 30;
+/// No zoom is deeper: those who read PMTiles count tiles no further.
+const ZOOM_MAX: u8 = 26;
 
 /// The site's basemap.
 #[derive(Debug)]
@@ -201,7 +201,7 @@ mod tests {
             (97, 3, "directories are compressed by kind 3"),
             (98, 4, "tiles are compressed by kind 4"),
             (100, 21, "zooms from 21 to 20"),
-            (101, 31, "zooms from 14 to 31"),
+            (101, 27, "zooms from 14 to 27"),
             (16, 1, "its root directory end later: it was not copied whole"),
             (64, 1, "has 127 bytes, and its tiles end later"),
             (71, 0xff, "its tiles end later"),
