@@ -39,8 +39,10 @@ impl Basemap {
     /// It cannot be read, or is not of the kind that the page draws.
     pub fn of(map: &config::Map) -> Result<Option<Self>, Violation> {
         let Some(path) = map.basemap_file.clone() else { return Ok(None) };
-        check(&path)
-            .map_err(|why| Violation { key: KEY.to_owned(), message: format!("is {}, {why}", path.display()) })?;
+        check(&path).map_err(|why| Violation {
+            key: KEY.to_owned(),
+            message: format!("is {}, {why}", path.display()),
+        })?;
         Ok(Some(Self { path, attribution: map.attribution.clone() }))
     }
 }
@@ -78,7 +80,9 @@ fn check_header(header: &[u8], file_bytes: u64) -> Result<(), String> {
     for (part, at) in [("root directory", 8), ("metadata", 24), ("leaf directories", 40), ("tiles", 56)] {
         let end = number(at).checked_add(number(at + 8));
         if end.is_none_or(|end| end > file_bytes) {
-            return Err(format!("which has {file_bytes} bytes, and its {part} end later: it was not copied whole"));
+            return Err(format!(
+                "which has {file_bytes} bytes, and its {part} end later: it was not copied whole"
+            ));
         }
     }
     match header[99] {
@@ -221,7 +225,10 @@ mod tests {
             Basemap::of(&map).expect_err("must be refused").to_string()
         };
         let missing = of(Path::new("/nowhere/pit.pmtiles"));
-        assert!(missing.starts_with("map.basemap_file is /nowhere/pit.pmtiles, which cannot be read: "), "{missing}");
+        assert!(
+            missing.starts_with("map.basemap_file is /nowhere/pit.pmtiles, which cannot be read: "),
+            "{missing}"
+        );
         let folder = std::env::temp_dir();
         assert!(of(&folder).ends_with("which is no file"), "{}", of(&folder));
         assert!(Basemap::of(&config::Map::default()).expect("none").is_none());

@@ -83,7 +83,8 @@ fn plan(located: Option<Located>, id: &str, file: Option<u32>) -> Result<Downloa
         .map(u32::to_string)
         .collect();
     let as_it_is = |path: &std::path::Path| {
-        let about = std::fs::metadata(path).map_err(|error| unreadable(WHAT, &format!("session {id}"), &error))?;
+        let about =
+            std::fs::metadata(path).map_err(|error| unreadable(WHAT, &format!("session {id}"), &error))?;
         Ok::<_, Problem>(vec![Piece::Of { path: path.to_owned(), start: 0, bytes: about.len() }])
     };
     if let Some(wanted) = file {
