@@ -31,7 +31,7 @@ export async function basemap({ checks, browser, binary, data, screenshots, noFi
   await checks.check("a site without a basemap offers none", async () => {
     const bare = await Watched.open(browser, origin);
     await bare.answered((url) => url.endsWith("/api/v1/map"));
-    await bare.page.locator(".label[data-machine]").first().waitFor({ timeout: 10_000 });
+    await bare.page.locator(".label[data-machine] .label-chip").first().waitFor({ timeout: 10_000 });
     const offered = await bare.page.getByRole("button", { name: "Basemap" }).count();
     await bare.close();
     return offered === 0;
@@ -72,7 +72,7 @@ export async function basemap({ checks, browser, binary, data, screenshots, noFi
 async function shown({ checks, watched, address, screenshots, noFindings }) {
   const { page } = watched;
   await checks.check("the machine's place has the colour that the file has there", async () => {
-    await page.locator(".label[data-machine]").waitFor({ timeout: POSE_WITHIN_MS });
+    await page.locator(".label[data-machine] .label-chip").waitFor({ timeout: POSE_WITHIN_MS });
     const { around, everywhere } = await until(
       () => compare(page, address, "light"),
       ({ around, everywhere }) =>
@@ -87,7 +87,7 @@ async function shown({ checks, watched, address, screenshots, noFindings }) {
   });
   await checks.check("also further out, on coarser tiles, and further in", async () => {
     for (const [name, presses] of [
-      ["Zoom out", 5],
+      ["Zoom out", 3],
       ["Zoom in", 4],
     ]) {
       for (let press = 0; press < presses; press += 1) {
@@ -152,7 +152,7 @@ async function hidden({ checks, watched, address }) {
       if (/basemap/.test(new URL(request.url()).pathname)) asked.push(request.url());
     });
     await page.reload();
-    await page.locator(".label[data-machine]").waitFor({ timeout: 15_000 });
+    await page.locator(".label[data-machine] .label-chip").waitFor({ timeout: 15_000 });
     await button.waitFor({ timeout: 5_000 });
     await isBare();
     if ((await button.getAttribute("aria-pressed")) !== "false") throw new Error("it is switched on");
@@ -182,7 +182,7 @@ async function failing({ checks, browser, address }) {
     );
     await page.getByRole("navigation").getByRole("link", { name: "Live" }).click();
     await page.getByText("Basemap: the disk is gone").waitFor({ timeout: 10_000 });
-    await page.locator(".label[data-machine]").waitFor({ timeout: 10_000 });
+    await page.locator(".label[data-machine] .label-chip").waitFor({ timeout: 10_000 });
     if ((await page.locator("[data-said=basemap]").count()) !== 1) throw new Error("it is not said once");
     await until(
       () => groundShare(page),

@@ -38,19 +38,13 @@ export class BasemapLayer implements Backdrop {
   }
 
   paint(onto: CanvasRenderingContext2D, camera: Camera): void {
-    const { width_px, height_px, ratio } = camera;
     const wanted = JSON.stringify(camera);
     if (wanted !== this.drawn) {
       this.drawn = wanted;
       this.compose(camera);
     }
-    onto.drawImage(
-      this.picture,
-      0,
-      0,
-      Math.round(width_px * ratio) / ratio,
-      Math.round(height_px * ratio) / ratio,
-    );
+    const { width, height } = this.picture;
+    onto.drawImage(this.picture, 0, 0, width / camera.ratio, height / camera.ratio);
   }
 
   destroy(): void {
@@ -62,10 +56,9 @@ export class BasemapLayer implements Backdrop {
     const { centre, metresPerPixel, width_px, height_px, ratio } = camera;
     const { context } = this;
     if (context === null) return;
-    const [width, height] = [Math.round(width_px * ratio), Math.round(height_px * ratio)];
     // Setting the size empties the picture, and puts its drawing state back.
-    this.picture.width = width;
-    this.picture.height = height;
+    this.picture.width = Math.max(1, Math.round(width_px * ratio));
+    this.picture.height = Math.max(1, Math.round(height_px * ratio));
     const [east_m, north_m] = [(width_px / 2) * metresPerPixel, (height_px / 2) * metresPerPixel];
     const extent = {
       min: [centre[0] - east_m, centre[1] - north_m],
