@@ -1,14 +1,16 @@
 //! How far off the estimate is, over many seeds: with GNSS, through an outage while digging, through one while
 //! driving, under multipath that the receiver does not report; and whether its covariance is meant.
 //!
-//! `cargo bench --no-default-features --bench accuracy -- [SEEDS]` prints the tables that the README quotes, over two
-//! machines each: 25 seeds are 50 runs. The
-//! yardstick of an outage is the sum of the lidar's increments with the true heading and the true standstill: what
-//! lidar odometry could do at best, alone.
+//! `cargo bench --no-default-features --bench accuracy -- [SEEDS] [pseudo-global] [one-gyroscope]` prints the tables that
+//! the README quotes, over two machines each: 25 seeds are 50 runs. `pseudo-global` takes lidar in outages as the paper
+//! does, `one-gyroscope` leaves out the chassis' IMU. The yardstick of an outage is the sum of the lidar's increments with
+//! the true heading and the true standstill: what lidar odometry could do at best, alone; and the same with the
+//! estimate's heading: what that heading leaves of it.
 
 use std::path::Path;
 
 use holdfast::baselines::Kind;
+use holdfast::config::LidarInOutage;
 use holdfast::evaluate::trial::{Setup, Trial, run};
 use holdfast::simulate::{Action, GnssCondition, GnssConditionKind, Scenario};
 
@@ -20,16 +22,18 @@ fn median(values: &mut [f64]) -> f64 {
 fn report(title: &str, runs: &[Trial]) {
     let over = |value: &dyn Fn(&Trial) -> f64| {
         let mut values: Vec<f64> = runs.iter().map(value).collect();
+        let square_mean = values.iter().map(|value| value.powi(2)).sum::<f64>() / values.len() as f64;
         let middle = median(&mut values);
-        (middle, values[values.len() - 1])
+        [middle, values[values.len() - 1], square_mean.sqrt()]
     };
-    println!("\n{title}: {} runs, median and largest", runs.len());
-    let line = |what: &str, (middle, largest): (f64, f64), unit: &str| {
-        println!("  {what:<52} {middle:8.3} {largest:8.3} {unit}");
+    println!("\n{title}: {} runs, median, largest and root mean square", runs.len());
+    let line = |what: &str, [middle, largest, rms]: [f64; 3], unit: &str| {
+        println!("  {what:<52} {middle:8.3} {largest:8.3} {rms:8.3} {unit}");
     };
     line("position RMSE, GNSS good", over(&|run| 100.0 * run.good.rmse_m()), "cm");
     line("heading RMSE, GNSS good", over(&|run| run.good.heading_rmse_deg()), "°");
     line("position RMSE in the outage", over(&|run| 100.0 * run.outage.rmse_m()), "cm");
+    line("heading RMSE in the outage", over(&|run| run.outage.heading_rmse_deg()), "°");
     line("largest error in the outage", over(&|run| 100.0 * run.outage.largest_m), "cm");
     line("yardstick: lidar, true heading and standstill, RMSE", over(&|run| 100.0 * run.yardstick_m), "cm");
     line("the same with the estimate's heading", over(&|run| 100.0 * run.yardstick_own_heading_m), "cm");
@@ -70,9 +74,20 @@ fn report(title: &str, runs: &[Trial]) {
     }
 }
 
+/// Whether the word is among the arguments.
+fn told(word: &str) -> bool {
+    std::env::args().any(|argument| argument == word)
+}
+
 fn load(name: &str) -> Scenario {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    Scenario::load(&root.join("config/scenarios").join(name)).expect("a valid scenario")
+    let mut scenario = Scenario::load(&root.join("config/scenarios").join(name)).expect("a valid scenario");
+    if told("pseudo-global") {
+        for machine in &mut scenario.machines {
+            machine.lidar_odometry.in_outage = LidarInOutage::PseudoGlobal;
+        }
+    }
+    scenario
 }
 
 /// After their first drive, machines dig where they stand.
@@ -98,7 +113,9 @@ fn seeded(scenario: &Scenario, conditions: &[GnssCondition], seeds: u64) -> Vec<
             scenario.file.seed = 1000 + seed;
             scenario.file.gnss_condition = conditions.to_vec();
             let machines = 0..scenario.machines.len();
-            let trial = |machine| run(&scenario, Setup::new(Kind::Dual, machine), || 0);
+            let without_base_imu = told("one-gyroscope");
+            let trial =
+                |machine| run(&scenario, Setup { without_base_imu, ..Setup::new(Kind::Dual, machine) }, || 0);
             machines.map(trial).collect::<Vec<_>>()
         })
         .collect()

@@ -17,7 +17,7 @@ use crate::baselines::Kind;
 use crate::estimator::Method;
 use crate::lie::Vec3;
 use crate::replay::Times;
-use crate::sensors::Reading;
+use crate::sensors::{Reading, Sensor};
 use crate::simulate::{Scenario, Simulation, Truth};
 use crate::state::{Estimate, Mode};
 use crate::time::Stamp;
@@ -40,6 +40,8 @@ pub struct Setup {
     pub machine: usize,
     /// The method gets no lidar.
     pub without_lidar: bool,
+    /// It gets nothing of the chassis' IMU.
+    pub without_base_imu: bool,
     /// Keep traces and series over time.
     pub traced: bool,
     /// Readings after it are not taken, s.
@@ -49,7 +51,7 @@ pub struct Setup {
 impl Setup {
     /// The whole scenario, without traces.
     pub fn new(kind: Kind, machine: usize) -> Self {
-        Self { kind, machine, without_lidar: false, traced: false, end_s: None }
+        Self { kind, machine, without_lidar: false, without_base_imu: false, traced: false, end_s: None }
     }
 }
 
@@ -138,6 +140,9 @@ pub fn run(scenario: &Scenario, setup: Setup, mut clock: impl FnMut() -> u64) ->
             if setup.without_lidar {
                 continue;
             }
+        }
+        if setup.without_base_imu && arrival.reading.sensor() == Sensor::BaseImu {
+            continue;
         }
         let before = clock();
         let estimate = method.predict(&arrival);

@@ -95,7 +95,7 @@ mod tests {
         };
         assert_eq!(left("SELECT id FROM outages ORDER BY id"), ["long", "new", "on"]);
         let seen_late = format!("disk_low..{hour}");
-        assert_eq!(left("SELECT id FROM alerts ORDER BY id"), [seen_late.as_str(), "disk_low..2"]);
+        assert_eq!(left("SELECT id FROM alerts ORDER BY id"), ["disk_low..2", seen_late.as_str()]);
         assert_eq!(left("SELECT DISTINCT CAST(quarter AS TEXT) FROM cells"), ["3"]);
     }
 }

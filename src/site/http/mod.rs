@@ -1,5 +1,6 @@
 //! The site's HTTP door: API, live WebSocket, metrics, page. Reads the newest frame; asks nothing back.
 
+mod accept;
 mod aemp;
 mod alerts;
 mod api;
