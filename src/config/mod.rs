@@ -6,6 +6,7 @@
 mod alerts;
 mod endpoint;
 mod machine;
+mod map;
 mod site;
 mod tls;
 mod topics;
@@ -24,6 +25,7 @@ pub use machine::{
     BaseImu, Frames, Gate, Gnss, Imu, Initialization, LidarInOutage, LidarOdometry, Link, Machine, OnBoard,
     Publish, Smoother, Transform, World,
 };
+pub use map::Map;
 pub use site::{Equipment, Http, Record, Rotate, Site, Tolerance, Zenoh};
 pub use tls::{Admitted, Tls};
 pub use topics::Topics;

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::endpoint::{endpoints, listening, secret};
 use super::tls::{Admitted, Tls};
-use super::{Alerts, Checked, Violation, World, identifier, violation, within};
+use super::{Alerts, Checked, Map, Violation, World, identifier, violation, within};
 
 /// One site server.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -40,6 +40,9 @@ pub struct Site {
     /// What is watched, and who is told.
     #[serde(default)]
     pub alerts: Alerts,
+    /// What lies under the plan.
+    #[serde(default)]
+    pub map: Map,
     /// What telematics systems are told of the machines.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub equipment: Vec<Equipment>,
@@ -344,6 +347,7 @@ impl Checked for Site {
         self.http.check()?;
         self.record.check()?;
         self.alerts.check()?;
+        self.map.check()?;
         let mut machines = std::collections::BTreeSet::new();
         for equipment in &self.equipment {
             identifier("equipment.machine", &equipment.machine)?;
@@ -379,6 +383,7 @@ mod tests {
         assert_eq!(shipped.record, Record::default());
         assert_eq!(shipped.tolerance, Tolerance::default());
         assert_eq!(shipped.alerts, Alerts::default());
+        assert_eq!(shipped.map, Map::default());
         assert_eq!(shipped.time_zone, utc());
     }
 
@@ -469,6 +474,24 @@ mod tests {
         );
         let rules = parse::<Site>(&off, Path::new("s.toml")).expect("valid").alerts.rules();
         assert_eq!((rules.len(), rules[0].raise), (8, 5.0));
+    }
+
+    #[test]
+    fn basemap_is_optional_and_what_is_wrong_with_it_is_told_with_its_line() {
+        let text = format!("{MINIMAL}[map]\nbasemap_file = \"pit.pmtiles\"\nattribution = \"© A & B\"\n");
+        let map = parse::<Site>(&text, Path::new("s.toml")).expect("valid").map;
+        assert_eq!(map.basemap_file.as_deref(), Some(Path::new("pit.pmtiles")));
+        assert_eq!(map.attribution.as_deref(), Some("© A & B"));
+        let long = "x".repeat(301);
+        for (text, expected) in [
+            ("basemap = \"x\"", "s.toml:7:1: unknown field `basemap`"),
+            ("attribution = \"A\"", "s.toml:7:1: map.attribution means nothing without map.basemap_file"),
+            ("basemap_file = \"x\"\nattribution = \"a\\nb\"", "s.toml:8:1: map.attribution has 3 characters"),
+            (&format!("basemap_file = \"x\"\nattribution = \"{long}\""), "must be one line of 300 at most"),
+        ] {
+            let message = error(&format!("{MINIMAL}[map]\n{text}\n"));
+            assert!(message.contains(expected), "{message}");
+        }
     }
 
     #[test]

@@ -116,6 +116,7 @@ impl Site {
         let accounts = Accounts::of(&config.record.directory)?;
         may_listen(&config.http, &accounts, "http.listen")?;
         let channels = alerts::channels(&config.alerts)?;
+        let basemap = http::Basemap::of(&config.map)?.map(Arc::new);
         let listen = config.http.listen;
         let listener = TcpListener::bind(listen)
             .await
@@ -231,6 +232,7 @@ impl Site {
             equipment: config.equipment.as_slice().into(),
             people: Arc::new(http::People::new(accounts, config.http.clone(), clock)),
             plan: http::Plan::of(&config.record.directory),
+            basemap,
         };
         let server = http::serve(listener, shared, stopped);
         let mut tasks = vec![tokio::spawn(aggregator), tokio::spawn(follower), tokio::spawn(server)];

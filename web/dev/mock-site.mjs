@@ -279,19 +279,24 @@ const server = createServer(async (request, response) => {
   if (pathname === "/api/v1/fleet") return json(fleet());
   if (pathname === "/api/v1/sessions") return json(sessions());
   if (pathname === "/healthz") return response.end("ok");
-  if (pathname.startsWith("/api/")) {
-    const empty = { "/api/v1/alerts": { alerts: [], next: null }, "/api/v1/plan": { features: [] } }[
-      pathname
-    ];
+  // What lies under the plan is that of the site whose page it is.
+  const isGround = ["/api/v1/map", "/api/v1/basemap.pmtiles"].includes(pathname);
+  if (pathname.startsWith("/api/") && !(isGround && options.page !== undefined)) {
+    const empty = {
+      "/api/v1/alerts": { alerts: [], next: null },
+      "/api/v1/plan": { features: [] },
+      "/api/v1/map": { basemap: null },
+    }[pathname];
     const me = { accounts: false, name: null, role: "admin", token: null, expires: null };
     if (pathname === "/api/v1/me") return json(me);
     return empty === undefined ? response.writeHead(404).end() : json(empty);
   }
   if (options.page !== undefined) {
-    const passed = await fetch(new URL(pathname, options.page));
+    const { range } = request.headers;
+    const passed = await fetch(new URL(pathname, options.page), { headers: range ? { range } : {} });
     const headers = {};
-    for (const name of ["content-type", "content-security-policy"])
-      headers[name] = passed.headers.get(name) ?? "";
+    for (const name of ["content-type", "content-security-policy", "content-range", "etag"])
+      if (passed.headers.has(name)) headers[name] = passed.headers.get(name);
     response.writeHead(passed.status, headers);
     return response.end(Buffer.from(await passed.arrayBuffer()));
   }

@@ -11,6 +11,7 @@ import { join } from "node:path";
 import { isDeepStrictEqual, parseArgs } from "node:util";
 
 import { ADMIN, accounts, signInAs } from "./accounts.mjs";
+import { basemap } from "./basemap.mjs";
 import { browserMissing, launch } from "./browser.mjs";
 import { Checks } from "./checks.mjs";
 import { Demo } from "./demo.mjs";
@@ -50,8 +51,9 @@ try {
   if (origin !== null) {
     browser = await launch();
     await live(origin);
-    // The demo ends with accounts on the site, so this comes late; the ending is watched by somebody signed in.
     const { holdfast: binary, screenshots } = options;
+    await basemap({ checks, browser, binary, data, screenshots, noFindings, nothing, origin });
+    // The demo ends with accounts on the site, so this comes late; the ending is watched by somebody signed in.
     await accounts({ checks, browser, origin, binary, data, screenshots, noFindings });
     await ending(origin);
   }

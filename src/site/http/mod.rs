@@ -6,6 +6,7 @@ mod alerts;
 mod api;
 mod assets;
 mod audit;
+mod basemap;
 mod buckets;
 mod configuration;
 mod docs;
@@ -25,6 +26,7 @@ mod place;
 mod plan;
 mod problem;
 mod query;
+mod ranges;
 mod ready;
 mod routes;
 mod sessions;
@@ -59,6 +61,7 @@ use super::sessions::{Catalogue, Command, Progress};
 use crate::config;
 use crate::fleet::Alert;
 use crate::frames::geodesy::SiteFrame;
+pub(super) use basemap::Basemap;
 pub(super) use export::turnstile;
 pub(super) use hour::Hour;
 pub(super) use plan::Plan;
@@ -93,6 +96,8 @@ pub(super) struct Shared {
     pub stopped: watch::Receiver<bool>,
     pub people: Arc<People>,
     pub plan: Plan,
+    /// `None` where the site file names none.
+    pub basemap: Option<Arc<Basemap>>,
 }
 
 /// What the handlers see of the alerts.
@@ -145,6 +150,8 @@ fn routes() -> Routes {
         .viewer(routes!(live::live))
         .viewer(routes!(plan::plan))
         .admin(routes!(plan::put).layer(plan_body))
+        .viewer(routes!(basemap::map))
+        .viewer(routes!(basemap::basemap))
         .viewer(routes!(alerts::list))
         .operator(routes!(alerts::acknowledge))
         .operator(routes!(alerts::test))

@@ -6,6 +6,7 @@
 import type { Me, NewToken, Token, User } from "./accounts";
 import type { AlertsView } from "./alerts";
 import type { components } from "./generated";
+import type { SiteMap } from "./map";
 import type { OutageDetail, OutagesView, Statistics } from "./outages";
 import type { ShadowCell } from "./shadow-map";
 import type {
@@ -46,6 +47,7 @@ export type Agreement = [
   Holds<Same<OutageDetail, Schemas["OutageDetail"]>>,
   Holds<Same<Statistics, Schemas["Statistics"]>>,
   Holds<Same<ShadowCell, Schemas["ShadowProperties"]>>,
+  Holds<Same<SiteMap, Schemas["MapView"]>>,
   Holds<Same<AlertsView, Schemas["AlertsView"]>>,
   Holds<Same<Me, Schemas["MeView"]>>,
   Holds<Same<User, Schemas["UserView"]>>,

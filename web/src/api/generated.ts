@@ -109,6 +109,23 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/basemap.pmtiles": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** The basemap as PMTiles (version 3) with raster tiles in Web Mercator, whole or in part. */
+        get: operations["basemap"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/fleet": {
         parameters: {
             query?: never;
@@ -243,6 +260,23 @@ export interface paths {
          *     in their recordings.
          */
         get: operations["trajectory"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/map": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** Whether there is a basemap under the plan, and who is to be named beside it. */
+        get: operations["map"];
         put?: never;
         post?: never;
         delete?: never;
@@ -763,6 +797,11 @@ export interface components {
             alerts: components["schemas"]["AlertView"][];
             /** @description The `cursor` with which the list goes on; `null` at its end. */
             next?: string | null;
+        };
+        /** @description A picture of the ground. */
+        BasemapView: {
+            /** @description Who is to be named beside it; empty for nobody, `null` for whom the file names in its metadata. */
+            attribution?: string | null;
         };
         /** @description What is left until one sigma of the position passes the site's tolerance. */
         Budget: {
@@ -1308,6 +1347,10 @@ export interface components {
         MachinesView: {
             /** @description In the order of their ids. */
             machines: components["schemas"]["MachineView"][];
+        };
+        /** @description What lies under the plan. */
+        MapView: {
+            basemap?: components["schemas"]["BasemapView"] | null;
         };
         /** @description Who asks, and what it may do. */
         MeView: {
@@ -2747,6 +2790,76 @@ export interface operations {
             503: components["responses"]["Unavailable"];
         };
     };
+    basemap: {
+        parameters: {
+            query?: never;
+            header?: {
+                /** @description One range of bytes */
+                Range?: string;
+                /** @description Only if the tag is still that; else the whole */
+                "If-Range"?: string;
+                /** @description Tags that the client has */
+                "If-None-Match"?: string;
+            };
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    /** @description Changes with the file */
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/vnd.pmtiles": number[];
+                };
+            };
+            206: {
+                headers: {
+                    /** @description Changes with the file */
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/vnd.pmtiles": number[];
+                };
+            };
+            /** @description The client has it */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
+            /** @description The site has no basemap */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            416: {
+                headers: {
+                    /** @description How long it is */
+                    "Content-Range"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
+        };
+    };
     fleet: {
         parameters: {
             query?: never;
@@ -3042,6 +3155,43 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            421: components["responses"]["Misdirected"];
+            429: components["responses"]["TooMany"];
+            500: components["responses"]["Failed"];
+            503: components["responses"]["Unavailable"];
+        };
+    };
+    map: {
+        parameters: {
+            query?: never;
+            header?: {
+                /** @description Tags that the client has */
+                "If-None-Match"?: string;
+            };
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    /** @description Changes with the answer */
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["MapView"];
+                };
+            };
+            /** @description The client has it */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            400: components["responses"]["Malformed"];
+            401: components["responses"]["Unknown"];
             421: components["responses"]["Misdirected"];
             429: components["responses"]["TooMany"];
             500: components["responses"]["Failed"];

@@ -1,6 +1,6 @@
 /**
- * The plan on a canvas: ground, what lies under the machines, grid, machines. No WebGL and no tiles: it draws
- * everywhere, and fast enough where graphics are done by the processor.
+ * The plan on a canvas: ground, what lies under the machines, grid, machines. No WebGL, and no tiles unless the site has
+ * a basemap: it draws everywhere, and fast enough where graphics are done by the processor.
  *
  * What moves is drawn at most once a frame; what seldom changes is kept as paths in metres. Drag, wheel, two
  * fingers and keys move it.
@@ -10,7 +10,15 @@ import type { Metres } from "../geometry/geodesy";
 import type { Extent, GridLine } from "../geometry/grid";
 import { onceAFrame } from "./once-a-frame";
 import type { Palette } from "./palette";
-import { LAYERS, type PlanEvents, type PlanView, type PlanWord, type Shape, type Underlay } from "./view";
+import {
+  type Backdrop,
+  LAYERS,
+  type PlanEvents,
+  type PlanView,
+  type PlanWord,
+  type Shape,
+  type Underlay,
+} from "./view";
 
 const METRES_PER_PIXEL_MIN = 0.0015;
 const METRES_PER_PIXEL_MAX = 60;
@@ -49,9 +57,12 @@ export function createCanvasView(
   let grid: readonly GridLine[] = [];
   let underlays: readonly Underlay[] = [];
   let words: readonly PlanWord[] = [];
+  let backdrop: Backdrop | null = null;
   let width = 1;
   let height = 1;
   let ratio = 1;
+
+  const printing = window.matchMedia("print");
 
   const toPixels = ([east, north]: Metres): readonly [number, number] => [
     width / 2 + (east - centre[0]) / metresPerPixel,
@@ -68,12 +79,20 @@ export function createCanvasView(
     context.globalAlpha = 1;
     context.fillStyle = colours.ground;
     context.fillRect(0, 0, width, height);
+    paintBackdrop();
     paintUnderlays();
     paintGrid();
     paintWords();
     context.lineJoin = "round";
     context.lineCap = "round";
     for (const layer of LAYERS) for (const shape of shapes) if (shape.layer === layer) paintShape(shape);
+  };
+  const paintBackdrop = () => {
+    // On paper it costs ink, and the words above it are hard to read.
+    if (backdrop === null || printing.matches) return;
+    context.globalAlpha = colours.backdropOpacity;
+    backdrop.paint(context, { centre, metresPerPixel, width_px: width, height_px: height, ratio });
+    context.globalAlpha = 1;
   };
   const paintUnderlays = () => {
     const scale = 1 / metresPerPixel;
@@ -253,6 +272,8 @@ export function createCanvasView(
   });
   const watcher = new ResizeObserver(resize);
   watcher.observe(container);
+  // At once: the paper does not wait for a frame.
+  printing.addEventListener("change", paint);
   resize();
 
   return {
@@ -273,6 +294,11 @@ export function createCanvasView(
       colours = next;
       ask();
     },
+    setBackdrop(next) {
+      backdrop = next;
+      ask();
+    },
+    redraw: ask,
     setMeasuring(measuring) {
       canvas.classList.toggle("measuring", measuring);
     },
@@ -293,6 +319,7 @@ export function createCanvasView(
     zoomBy,
     destroy() {
       watcher.disconnect();
+      printing.removeEventListener("change", paint);
       cancel();
       canvas.remove();
     },

@@ -4,6 +4,8 @@ import type { GnssState } from "../api/types";
 
 export interface Palette {
   ground: string;
+  /** How much of the basemap is seen over the ground. */
+  backdropOpacity: number;
   gridMinor: string;
   gridMajor: string;
   chassis: string;
@@ -25,6 +27,7 @@ export interface Palette {
 
 export const LIGHT: Palette = {
   ground: "#eef1f0",
+  backdropOpacity: 1,
   gridMinor: "#dde2e1",
   gridMajor: "#c3ccca",
   chassis: "#7b868a",
@@ -55,6 +58,7 @@ export const LIGHT: Palette = {
 
 export const DARK: Palette = {
   ground: "#14191b",
+  backdropOpacity: 0.5,
   gridMinor: "#1d2427",
   gridMajor: "#2a3438",
   chassis: "#69757a",

@@ -9,6 +9,7 @@ import { SeverityIcon } from "../components/icons";
 import { type Metres, SiteFrame } from "../geometry/geodesy";
 import { type Coordinates, useDesk } from "../store/context";
 import { useSpeech } from "../text";
+import { useBasemap } from "./basemap";
 import { createCanvasView } from "./canvas-view";
 import { Legend } from "./legend";
 import { type Furniture, PlanPainter } from "./painter";
@@ -89,6 +90,7 @@ export function Plan({ features = [], shadow = [], extra, children, onReady }: P
     return () => document.removeEventListener("keydown", end);
   }, [measure.value === null]);
 
+  const basemap = useBasemap(view.value);
   const selected = choices.selected.value;
   const machine = selected === null ? undefined : store.calm.value.machines.get(selected);
   return (
@@ -133,10 +135,26 @@ export function Plan({ features = [], shadow = [], extra, children, onReady }: P
         >
           {text.plan.measure}
         </button>
+        {basemap.exists && (
+          <button
+            type="button"
+            aria-pressed={choices.basemap.value}
+            title={text.plan.basemapHint}
+            onClick={() => (choices.basemap.value = !choices.basemap.value)}
+          >
+            {text.plan.basemap}
+          </button>
+        )}
         {children}
+        {basemap.said !== null && (
+          <p class="plan-said" role="status" data-said="basemap">
+            {basemap.said}
+          </p>
+        )}
       </div>
       <Legend palette={palette.value} shadow={shadow.length > 0} />
       <Readout measure={measure} over={over} />
+      {basemap.attribution !== "" && <p class="plan-attribution">{basemap.attribution}</p>}
     </section>
   );
 }

@@ -30,6 +30,22 @@ export interface Underlay {
   strokeWidth_px?: number;
 }
 
+/** Where the plan is looked at from. */
+export interface Camera {
+  centre: Metres;
+  metresPerPixel: number;
+  width_px: number;
+  height_px: number;
+  /** Pixels of the screen in a pixel of the plan. */
+  ratio: number;
+}
+
+/** A picture of the ground, under everything else. */
+export interface Backdrop {
+  /** Draws what there is of it. */
+  paint(onto: CanvasRenderingContext2D, camera: Camera): void;
+}
+
 /** A word at a place of the site's plan. */
 export interface PlanWord {
   at: Metres;
@@ -42,6 +58,10 @@ export interface PlanView {
   drawGrid(lines: readonly GridLine[]): void;
   setUnderlays(underlays: readonly Underlay[], words: readonly PlanWord[]): void;
   setPalette(palette: Palette): void;
+  /** `null` for the bare ground. */
+  setBackdrop(backdrop: Backdrop | null): void;
+  /** There is more to draw than before. */
+  redraw(): void;
   /** What a click means: the cursor says so. */
   setMeasuring(measuring: boolean): void;
   /** The part that is visible. */

@@ -25,6 +25,8 @@ export interface Choices {
   sound: Signal<boolean>;
   /** Whether the plan shows where GNSS was missing in the last week. */
   shadow: Signal<boolean>;
+  /** Whether the plan shows the site's basemap, if there is one. */
+  basemap: Signal<boolean>;
 }
 
 export function noChoices(): Choices {
@@ -36,6 +38,7 @@ export function noChoices(): Choices {
     language: signal(""),
     sound: signal(false),
     shadow: signal(false),
+    basemap: signal(true),
   };
 }
 
@@ -67,6 +70,7 @@ export function keptChoices(storage: Pick<Storage, "getItem" | "setItem"> | null
   keep<string>("language", choices.language, ["", ...LANGUAGES.map(({ language }) => language)]);
   keep<boolean>("sound", choices.sound, [true, false]);
   keep<boolean>("shadow", choices.shadow, [true, false]);
+  keep<boolean>("basemap", choices.basemap, [true, false]);
   return choices;
 }
 

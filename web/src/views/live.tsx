@@ -1,14 +1,14 @@
 /** Where every machine is now, and how far that can be trusted. */
 
 import { useSignal } from "@preact/signals";
-import { useEffect, useMemo } from "preact/hooks";
+import { useEffect } from "preact/hooks";
 import { fetchShadow, type ShadowCell } from "../api/shadow-map";
 import type { ViewProps } from "../app";
 import { useAsked } from "../components/async";
 import { MachineList } from "../components/machine-list";
 import { reasonOf } from "../components/reason";
-import { SiteFrame } from "../geometry/geodesy";
 import { Plan } from "../plan/plan";
+import { useSiteFrame } from "../plan/site-frame";
 import { fetchPlan, type PlanFeature, putPlan, readPlan } from "../plan/site-plan";
 import { useDesk } from "../store/context";
 import { mayAdminister } from "../store/people";
@@ -68,14 +68,6 @@ export default function LiveView(_props: ViewProps) {
       </div>
     </>
   );
-}
-
-/** The frame of the site; the same object as long as its origin is. */
-export function useSiteFrame(): SiteFrame | null {
-  const { store } = useDesk();
-  const world = store.calm.value.site?.world ?? null;
-  const key = world === null ? "" : `${world.latitude_deg} ${world.longitude_deg} ${world.altitude_m}`;
-  return useMemo(() => (world === null ? null : new SiteFrame(world)), [key]);
 }
 
 /** The site's own plan. */
