@@ -325,7 +325,7 @@ export const de: Text = {
       diskLow: (gigabytes) => `die Platte der Aufzeichnungen hatte noch ${gigabytes} GB`,
       estimatorLate: (seconds) => `neueste Schätzung bis zu ${seconds} s alt`,
       sensorSilent: (sensor, lasted) => `${sensor} ${lasted} stumm`,
-      idConflict: (lasted) => `zwei Maschinen mit dieser Kennung seit ${lasted}: die spätere wird abgewiesen`,
+      idConflict: (lasted) => `zwei Maschinen mit dieser Kennung seit ${lasted}: die frühere wird abgewiesen`,
       recordingPaused: (lasted) => `${lasted} nichts aufgezeichnet; warum, steht bei den Aufzeichnungen`,
     },
     history: "Früher",

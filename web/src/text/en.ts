@@ -325,7 +325,7 @@ export const en = {
       diskLow: (gigabytes: string) => `the recordings' disk was down to ${gigabytes} GB`,
       estimatorLate: (seconds: string) => `newest estimate up to ${seconds} s old`,
       sensorSilent: (sensor: string, lasted: string) => `${sensor} silent for ${lasted}`,
-      idConflict: (lasted: string) => `two machines with this id for ${lasted}: the later one is refused`,
+      idConflict: (lasted: string) => `two machines with this id for ${lasted}: the earlier one is refused`,
       recordingPaused: (lasted: string) => `nothing recorded for ${lasted}; Recordings say why`,
     },
     history: "Before",
