@@ -22,6 +22,7 @@
 //! The boots before the site's own start are not known: a machine that is met for the first time is not restarted.
 
 mod alerts;
+mod last_hour;
 mod link;
 mod machine;
 mod outages;
@@ -41,7 +42,7 @@ pub use outages::{
     PlaceView, QUARTER, SAMPLES_MAX, ShadowFeature, ShadowMap, ShadowPolygon, ShadowProperties, SigmaSample,
     SigmaSummary, SigmaView, Statistics, Tally, Thinned, TrackPoint, TrackView,
 };
-pub use past::{PAST_POINTS_MAX, Past, SensorRate, StatePoint};
+pub use past::{Past, SensorRate, StatePoint};
 pub use trail::{TRAIL_POINTS_MAX, TrailPoint, Trails};
 pub use view::{
     Ellipse95, FleetView, HealthView, LinkView, MachineView, PoseView, Presence, SIGMAS_95, Severity,

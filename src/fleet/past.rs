@@ -1,9 +1,10 @@
-//! What machines said of themselves: once a second for the last hour, for plots.
+//! What machines said of themselves in the last hour, for plots.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::BTreeMap;
 
 use serde::Serialize;
 
+use super::last_hour::{LastHour, Point};
 use super::view::{FleetView, PoseView, Severity};
 use super::{MACHINES_MAX, MachineReport};
 use crate::sensors::Sensor;
@@ -12,10 +13,6 @@ use crate::time::{Span, Stamp};
 
 /// From one point to the next, at least.
 const EVERY: Span = Span::from_millis(1_000);
-/// Older points are not told.
-const KEPT: Span = Span::from_millis(3_600_000);
-/// The most points of one machine: the oldest go.
-pub const PAST_POINTS_MAX: usize = 3_600;
 
 /// How often a sensor spoke.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -114,9 +111,20 @@ impl StatePoint {
     }
 }
 
+impl Point for StatePoint {
+    fn changed_from(&self, before: &Self) -> bool {
+        let of = |point: &Self| (point.mode, point.gnss, point.severity);
+        of(self) != of(before)
+    }
+
+    fn tells(&self) -> f64 {
+        self.worst_test_ratio
+    }
+}
+
 /// The last hour of all machines.
 #[derive(Debug, Default)]
-pub struct Past(BTreeMap<String, VecDeque<(Stamp, StatePoint)>>);
+pub struct Past(BTreeMap<String, LastHour<StatePoint>>);
 
 impl Past {
     /// Adds the machines that said something since.
@@ -125,17 +133,11 @@ impl Past {
             let Some(health) = &machine.health else { continue };
             let at = view.time.0 - Span::from_seconds(health.age_s);
             let points = self.0.get(&machine.id);
-            let last = points.and_then(VecDeque::back).map(|(last, _)| *last);
+            let last = points.and_then(LastHour::last).map(|(last, _)| *last);
             // Reports come once a second, more or less: a point for each, but not for those in between.
             let is_due = last.is_none_or(|last| at - last >= Span::from_nanos(EVERY.as_nanos() / 2));
             if !is_due || (points.is_none() && self.0.len() >= MACHINES_MAX) {
                 continue;
-            }
-            let points = self.0.entry(machine.id.clone()).or_default();
-            while points.len() >= PAST_POINTS_MAX
-                || points.front().is_some_and(|(first, _)| at - *first > KEPT)
-            {
-                points.pop_front();
             }
             let (word, severity) = (machine.state_word.clone(), machine.severity);
             let point = StatePoint {
@@ -145,16 +147,13 @@ impl Past {
                 pose_rate_hz: Some(machine.link.pose_rate_hz),
                 ..StatePoint::of(&health.report, word, severity, machine.pose.as_ref())
             };
-            points.push_back((at, point));
+            self.0.entry(machine.id.clone()).or_default().push(at, point);
         }
     }
 
     /// What is known of a machine after `since` and of the last hour, oldest first.
     pub fn points(&self, machine: &str, since: Option<Stamp>, now: Stamp) -> Vec<(Stamp, StatePoint)> {
         let Some(points) = self.0.get(machine) else { return Vec::new() };
-        let begins = now - KEPT;
-        let since = since.map_or(begins, |since| since.max(begins));
-        let first = points.partition_point(|(at, _)| *at <= since);
-        points.range(first..).cloned().collect()
+        points.points(since, usize::MAX, now).0.cloned().collect()
     }
 }

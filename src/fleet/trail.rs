@@ -1,20 +1,19 @@
 //! Where machines were: a thin trail of the last hour, for those who come late.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::BTreeMap;
 
 use serde::Serialize;
 
 use super::MACHINES_MAX;
+use super::last_hour::{LastHour, POINTS_MAX, Point};
 use super::view::{FleetView, Presence, UtcTime};
 use crate::state::{GnssState, Mode};
 use crate::time::{Span, Stamp};
 
 /// From one point to the next, at least.
 const EVERY: Span = Span::from_millis(1_000);
-/// Older points are not told.
-const KEPT: Span = Span::from_millis(3_600_000);
-/// The most points of one machine: the oldest go.
-pub const TRAIL_POINTS_MAX: usize = 3600;
+/// The most points of one machine.
+pub const TRAIL_POINTS_MAX: usize = POINTS_MAX;
 
 /// Where a machine was at one time.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -44,9 +43,19 @@ pub struct TrailPoint {
     pub gnss: Option<GnssState>,
 }
 
+impl Point for TrailPoint {
+    fn changed_from(&self, before: &Self) -> bool {
+        (self.mode, self.gnss) != (before.mode, before.gnss)
+    }
+
+    fn tells(&self) -> f64 {
+        self.semi_major_m
+    }
+}
+
 /// The trails of all machines.
 #[derive(Debug, Default)]
-pub struct Trails(BTreeMap<String, VecDeque<TrailPoint>>);
+pub struct Trails(BTreeMap<String, LastHour<TrailPoint>>);
 
 impl Trails {
     /// Adds the machines that are online and have a new pose.
@@ -55,16 +64,12 @@ impl Trails {
             let Some(pose) = &machine.pose else { continue };
             let time = view.time.0 - Span::from_seconds(pose.age_s);
             let trail = self.0.get(&machine.id);
-            let last = trail.and_then(VecDeque::back);
+            let last = trail.and_then(LastHour::last).map(|(_, last)| last);
             let is_due = last.is_none_or(|last| time - last.time.0 >= EVERY && last.stamp != pose.stamp);
             if !is_due || (trail.is_none() && self.0.len() >= MACHINES_MAX) {
                 continue;
             }
-            let trail = self.0.entry(machine.id.clone()).or_default();
-            if trail.len() >= TRAIL_POINTS_MAX {
-                trail.pop_front();
-            }
-            trail.push_back(TrailPoint {
+            let point = TrailPoint {
                 time: UtcTime(time),
                 stamp: pose.stamp,
                 position_m: pose.position_m,
@@ -75,7 +80,8 @@ impl Trails {
                 semi_major_m: pose.ellipse95.semi_major_m,
                 mode: machine.health.as_ref().map(|health| health.report.mode),
                 gnss: machine.health.as_ref().map(|health| health.report.gnss),
-            });
+            };
+            self.0.entry(machine.id.clone()).or_default().push(time, point);
         }
     }
 
@@ -89,11 +95,7 @@ impl Trails {
         now: Stamp,
     ) -> (Vec<TrailPoint>, bool) {
         let Some(trail) = self.0.get(machine) else { return (Vec::new(), false) };
-        let begins = now - KEPT;
-        let since = since.map_or(begins, |since| since.max(begins));
-        let first = trail.partition_point(|point| point.time.0 <= since);
-        let points: Vec<TrailPoint> = trail.range(first..).take(limit).copied().collect();
-        let more = first + points.len() < trail.len();
-        (points, more)
+        let (points, more) = trail.points(since, limit, now);
+        (points.map(|(_, point)| *point).collect(), more)
     }
 }

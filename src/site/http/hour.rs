@@ -77,11 +77,12 @@ pub(super) struct HistoryView {
     /// When the last of them arrived: `since` for those that follow.
     #[schema(value_type = Option<String>, format = DateTime)]
     last: Option<UtcTime>,
-    /// Oldest first, one a second.
+    /// Oldest first: one a second of the last five minutes, one in five seconds before that, and all at which mode, GNSS or
+    /// severity changed.
     states: Vec<StatePoint>,
 }
 
-/// What a machine said of itself in the last hour, once a second.
+/// What a machine said of itself in the last hour: once a second, and thinned where it is older than five minutes.
 #[utoipa::path(get, path = "/api/v1/machines/{id}/history", operation_id = "machine_history", tag = "fleet",
     params(("id" = String, Path, description = "The machine's id"), HistoryQuery),
     responses((status = OK, body = HistoryView),

@@ -31,8 +31,8 @@ pub(super) struct TrajectoryView {
     next: Option<UtcTime>,
 }
 
-/// Where a machine was in the last hour, as it was live: a point a second, while it is online. Whole sessions are
-/// in their recordings.
+/// Where a machine was in the last hour, as it was live while it was online: a point a second, and one in five seconds
+/// of what is older than five minutes. Whole sessions are in their recordings.
 #[utoipa::path(get, path = "/api/v1/machines/{id}/trajectory", tag = "fleet",
     params(("id" = String, Path, description = "The machine's id", min_length = 1, max_length = 64),
         ("since" = Option<String>, Query, format = DateTime,

@@ -238,7 +238,7 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** What a machine said of itself in the last hour, once a second. */
+        /** What a machine said of itself in the last hour: once a second, and thinned where it is older than five minutes. */
         get: operations["machine_history"];
         put?: never;
         post?: never;
@@ -256,8 +256,8 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * Where a machine was in the last hour, as it was live: a point a second, while it is online. Whole sessions are
-         *     in their recordings.
+         * Where a machine was in the last hour, as it was live while it was online: a point a second, and one in five seconds
+         *     of what is older than five minutes. Whole sessions are in their recordings.
          */
         get: operations["trajectory"];
         put?: never;
@@ -1192,7 +1192,10 @@ export interface components {
              * @description Times count from here, by the site's clock; `null` if there is nothing.
              */
             start?: string | null;
-            /** @description Oldest first, one a second. */
+            /**
+             * @description Oldest first: one a second of the last five minutes, one in five seconds before that, and all at which mode, GNSS or
+             *     severity changed.
+             */
             states: components["schemas"]["StatePoint"][];
         };
         /** @description How good the link to a machine is. */
