@@ -12,6 +12,8 @@ use crate::time::{Span, Stamp};
 const KEPT: Span = Span::from_millis(3_600_000);
 /// Points are whole for so long.
 const WHOLE: Span = Span::from_millis(300_000);
+/// How many that are, and some more.
+const WHOLE_POINTS: usize = 310;
 /// Of older ones, one is kept in each such span.
 const THINNED: Span = Span::from_millis(5_000);
 /// The most points, should something change all the time: the oldest go.
@@ -46,6 +48,10 @@ impl<T: Point> LastHour<T> {
 
     /// Adds a point, newer than those before.
     pub fn push(&mut self, at: Stamp, point: T) {
+        if self.whole.capacity() == 0 {
+            // It would double to far more.
+            self.whole.reserve_exact(WHOLE_POINTS);
+        }
         self.whole.push_back((at, point));
         while let Some((then, _)) = self.whole.front()
             && at - *then > WHOLE
