@@ -8,29 +8,24 @@ use super::{RecordError, Recorded, read_messages};
 use crate::time::Stamp;
 use crate::wire::{BootId, JournalHead, Topic, decode_journal_page};
 
-/// What says where something that was sent belongs.
-pub(super) trait Sent {
-    fn boot(&self) -> Option<BootId>;
-    fn topic(&self) -> Topic;
-    fn sequence(&self) -> u64;
-    fn sent(&self) -> Stamp;
+/// By what something that was sent has its place among the others.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Rank {
+    pub boot: Option<BootId>,
+    pub topic: Topic,
+    pub sequence: u64,
+    pub sent: Stamp,
 }
 
-impl<P> Sent for Recorded<P> {
-    fn boot(&self) -> Option<BootId> {
-        self.boot
-    }
+/// What has a place.
+pub(super) trait Ranked {
+    fn rank(&self) -> Rank;
+}
 
-    fn topic(&self) -> Topic {
-        self.topic
-    }
-
-    fn sequence(&self) -> u64 {
-        self.sequence
-    }
-
-    fn sent(&self) -> Stamp {
-        self.sent
+impl<P> Ranked for Recorded<P> {
+    fn rank(&self) -> Rank {
+        let Self { boot, topic, sequence, sent, .. } = *self;
+        Rank { boot, topic, sequence, sent }
     }
 }
 
@@ -116,33 +111,35 @@ pub fn read_said<'a>(
 }
 
 /// What one machine sent, in that order.
-pub(super) fn sorted<T: Sent>(messages: Vec<T>) -> Vec<T> {
+pub(super) fn sorted<T: Ranked>(messages: Vec<T>) -> Vec<T> {
     let mut boots: BTreeMap<Option<BootId>, Topics<T>> = BTreeMap::new();
     for message in messages {
-        boots.entry(message.boot()).or_default().entry(message.topic()).or_default().push(message);
+        let Rank { boot, topic, .. } = message.rank();
+        boots.entry(boot).or_default().entry(topic).or_default().push(message);
     }
     let mut runs: Vec<(Stamp, Vec<T>)> = Vec::new();
     for (boot, topics) in boots {
-        let first = topics.values().flatten().map(T::sent).min().unwrap_or_default();
+        let first = topics.values().flatten().map(|message| message.rank().sent).min().unwrap_or_default();
         runs.push((first, in_order(topics, boot.is_some())));
     }
     runs.sort_by_key(|(first, _)| *first);
     runs.into_iter().flat_map(|(_, messages)| messages).collect()
 }
 
-fn in_order<T: Sent>(topics: Topics<T>, counted: bool) -> Vec<T> {
+fn in_order<T: Ranked>(topics: Topics<T>, counted: bool) -> Vec<T> {
     // Each topic with the time at which a message may come: not before those of its topic.
     let mut queues: Vec<VecDeque<(Stamp, T)>> = Vec::new();
     for mut messages in topics.into_values() {
         if counted {
-            messages.sort_by_key(T::sequence);
-            messages.dedup_by_key(|message| message.sequence());
+            messages.sort_by_key(|message| message.rank().sequence);
+            messages.dedup_by_key(|message| message.rank().sequence);
         } else {
-            messages.sort_by_key(T::sent);
+            messages.sort_by_key(|message| message.rank().sent);
         }
         let mut latest: Option<Stamp> = None;
         let due = messages.into_iter().map(|message| {
-            let at = latest.map_or(message.sent(), |latest| latest.max(message.sent()));
+            let sent = message.rank().sent;
+            let at = latest.map_or(sent, |latest| latest.max(sent));
             latest = Some(at);
             (at, message)
         });

@@ -5,11 +5,10 @@ use std::path::{Path, PathBuf};
 
 use mcap::records::Record;
 
-use super::order::{Sent, sorted};
+use super::order::{Rank, Ranked, sorted};
 use super::scan::Scanner;
 use super::{BOOT, MACHINE, RecordError, Recorded, parse_channel_name, stamp_of};
 use crate::sensors::{Arrival, Reading};
-use crate::time::Stamp;
 use crate::wire::{BootId, JournalHead, Topic, decode_reading};
 
 /// Messages between two calls of `progress`.
@@ -149,28 +148,13 @@ pub struct Arrivals {
 /// A reading, or why it is none, and where it belongs.
 #[derive(Debug)]
 struct Told {
-    boot: Option<BootId>,
-    topic: Topic,
-    sequence: u64,
-    sent: Stamp,
+    rank: Rank,
     reading: Result<Reading, RecordError>,
 }
 
-impl Sent for Told {
-    fn boot(&self) -> Option<BootId> {
-        self.boot
-    }
-
-    fn topic(&self) -> Topic {
-        self.topic
-    }
-
-    fn sequence(&self) -> u64 {
-        self.sequence
-    }
-
-    fn sent(&self) -> Stamp {
-        self.sent
+impl Ranked for Told {
+    fn rank(&self) -> Rank {
+        self.rank
     }
 }
 
@@ -195,14 +179,14 @@ pub fn read_arrivals<'a>(
             if read.is_multiple_of(PROGRESS_EVERY) {
                 tell(bytes_before + messages.read_bytes());
             }
-            let Recorded { boot, topic, sequence, sent, .. } = message;
-            let Topic::Sensor(sensor) = topic else { continue };
+            let rank = message.rank();
+            let Topic::Sensor(sensor) = rank.topic else { continue };
             if message.machine != machine {
                 continue;
             }
             let reading = decode_reading(sensor, &message.payload)
                 .map_err(|source| unreadable(path.to_owned(), message, source));
-            found.push(Told { boot, topic, sequence, sent, reading });
+            found.push(Told { rank, reading });
         }
         bytes_before += messages.read_bytes();
         lost_bytes += messages.lost_bytes();
@@ -221,8 +205,8 @@ impl Iterator for Arrivals {
     type Item = Result<Arrival, RecordError>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        let Told { sent: arrival, reading, .. } = self.arrivals.next()?;
-        Some(reading.map(|reading| Arrival { arrival, reading }))
+        let Told { rank, reading } = self.arrivals.next()?;
+        Some(reading.map(|reading| Arrival { arrival: rank.sent, reading }))
     }
 
     fn size_hint(&self) -> (usize, Option<usize>) {

@@ -151,36 +151,38 @@ impl Database {
     }
 }
 
+/// One that was raised then, for tests.
+#[cfg(test)]
+pub(super) fn an_alert(number: i64, state: AlertState) -> Alert {
+    let raised = Stamp::from_nanos(number);
+    Alert {
+        id: format!("disk_low..{number}"),
+        rule: RuleKind::DiskLow,
+        severity: crate::fleet::AlertSeverity::Critical,
+        machine: None,
+        part: None,
+        message: "little left".to_owned(),
+        value: 1.0,
+        worst: 1.0,
+        state,
+        raised,
+        times: 1,
+        cleared: None,
+        acknowledged: None,
+        changed: raised,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fleet::AlertSeverity;
-
-    fn alert(number: i64) -> Alert {
-        Alert {
-            id: format!("disk_low..{number}"),
-            rule: RuleKind::DiskLow,
-            severity: AlertSeverity::Critical,
-            machine: None,
-            part: None,
-            message: "little left".to_owned(),
-            value: 1.0,
-            worst: 1.0,
-            state: AlertState::Active,
-            raised: Stamp::from_nanos(number),
-            times: 1,
-            cleared: None,
-            acknowledged: None,
-            changed: Stamp::from_nanos(number),
-        }
-    }
 
     #[test]
     fn what_waits_is_bounded_keeps_its_order_and_goes_with_its_channel() {
         let mut database = Database::in_memory().expect("opens");
         let channels = ["mail".to_owned(), "webhook:a".to_owned()];
         for number in 0..1005 {
-            database.put_alerts(&[alert(number)], &channels).expect("kept");
+            database.put_alerts(&[an_alert(number, AlertState::Active)], &channels).expect("kept");
         }
         let first = database.next_delivery("mail").expect("read").expect("waits");
         assert_eq!(first.alert.id, "disk_low..5", "the oldest are given up");

@@ -39,27 +39,8 @@ impl Database {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fleet::{Alert, AlertSeverity, CellKey, CellTime, QUARTER, RuleKind};
-
-    fn alert(number: i64, state: AlertState) -> Alert {
-        let raised = Stamp::from_nanos(number);
-        Alert {
-            id: format!("disk_low..{number}"),
-            rule: RuleKind::DiskLow,
-            severity: AlertSeverity::Critical,
-            machine: None,
-            part: None,
-            message: "little left".to_owned(),
-            value: 1.0,
-            worst: 1.0,
-            state,
-            raised,
-            times: 1,
-            cleared: None,
-            acknowledged: None,
-            changed: raised,
-        }
-    }
+    use crate::fleet::{CellKey, CellTime, QUARTER};
+    use crate::site::history::alerts::an_alert;
 
     #[test]
     fn what_was_over_before_is_forgotten_piece_by_piece_and_nothing_else() {
@@ -73,9 +54,9 @@ mod tests {
                         VALUES (?1, 'a', 'silent', ?2, ?3, '{}', '[]')";
             database.connection.execute(text, row).expect("kept");
         }
-        let alerts = [alert(1, AlertState::Cleared), alert(2, AlertState::ClearedUnacknowledged)];
+        let alerts = [an_alert(1, AlertState::Cleared), an_alert(2, AlertState::ClearedUnacknowledged)];
         database.put_alerts(&alerts, &[]).expect("kept");
-        database.put_alerts(&[alert(hour, AlertState::Cleared)], &[]).expect("kept");
+        database.put_alerts(&[an_alert(hour, AlertState::Cleared)], &[]).expect("kept");
         let time = CellTime { observed_ns: 10, float_ns: 0, without_ns: 0 };
         let many = ROWS + 7;
         let cells = |quarter, count| {
