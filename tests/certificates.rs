@@ -127,6 +127,7 @@ fn endpoints_without_certificates_beside_those_with_them_are_refused() {
     for (zenoh, why) in [
         (format!("listen = [\"tls/0.0.0.0:7447\", \"tcp/127.0.0.1:7447\"]\n{tls}"), "must begin with tls/"),
         ("listen = [\"tls/0.0.0.0:7447\"]\n".to_owned(), "[zenoh.tls]"),
+        (format!("listen = [\"tls/0.0.0.0:7447\"]\n{tls}"), "zenoh.admitted.machines is empty"),
         ("admitted = { machines = [\"a\"] }\n".to_owned(), "zenoh.admitted means nothing"),
         (
             format!("admitted = {{ machines = [\"a\"], listeners = [\"a\"] }}\nlisten = []\n{tls}"),

@@ -123,8 +123,13 @@ impl Zenoh {
         }
         self.admitted.check()?;
         if self.tls.is_some() {
-            return endpoints("zenoh.listen", &self.listen)
-                .and_then(|()| secret("zenoh.listen", &self.listen));
+            endpoints("zenoh.listen", &self.listen)?;
+            secret("zenoh.listen", &self.listen)?;
+            if self.admitted.machines.is_empty() {
+                let message = "is empty, must name the machines, by the common names of their certificates";
+                return violation("zenoh.admitted.machines", message.to_owned());
+            }
+            return Ok(());
         }
         if self.admitted != Admitted::default() {
             return violation("zenoh.admitted", "means nothing without [zenoh.tls]".to_owned());

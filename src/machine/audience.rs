@@ -32,6 +32,14 @@ impl Audience {
             publisher.map_err(|error| LinkError::Declare { key, reason: link::reason(&error) })?;
         let (sender, present) = watch::channel(false);
         let connect = machine.link.connect.join(", ");
+        // Who is refused is not told so by Zenoh.
+        let hint = match &machine.link.tls {
+            Some(_) => {
+                "; if the site is up, see that its zenoh.admitted.machines names this machine, and that both have \
+                 certificates of one authority"
+            }
+            None => "",
+        };
         let look = async move {
             let mut waited = Duration::ZERO;
             loop {
@@ -39,13 +47,13 @@ impl Audience {
                 if sender.send_if_modified(|before| std::mem::replace(before, listening) != listening) {
                     match listening {
                         true => tracing::info!("connected: somebody listens to this machine"),
-                        false => tracing::warn!("nobody listens any more; dialling {connect}"),
+                        false => tracing::warn!("nobody listens any more; dialling {connect}{hint}"),
                     }
                     waited = PATIENCE + LOOK_EVERY;
                 } else if !listening && waited <= PATIENCE {
                     waited += LOOK_EVERY;
                     if waited > PATIENCE {
-                        tracing::warn!("nobody listens yet; dialling {connect}");
+                        tracing::warn!("nobody listens yet; dialling {connect}{hint}");
                     }
                 }
                 tokio::time::sleep(LOOK_EVERY).await;
