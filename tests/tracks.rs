@@ -43,7 +43,7 @@ async fn session_is_told_as_tracks_and_events_and_the_past_of_a_machine_as_state
     machine.health().await;
     for _ in 0..10 {
         machine.pose().await;
-        tokio::time::sleep(Duration::from_millis(20)).await;
+        tokio::time::sleep(Duration::from_millis(60)).await;
     }
     (machine.mode, machine.gnss) = (Mode::Fallback, GnssState::Silent);
     machine.health().await;
@@ -91,7 +91,7 @@ async fn session_is_told_as_tracks_and_events_and_the_past_of_a_machine_as_state
     assert!(words[1].starts_with("HOLDING"), "{words:?}");
     let silence = &told["silences"][0];
     let silent_s = silence["to_s"].as_f64().expect("a time") - silence["from_s"].as_f64().expect("a time");
-    assert!((1.0..=3.0).contains(&silent_s), "{silence}");
+    assert!(silent_s >= 2.5, "{silence}");
     assert_eq!(told["poses_missing"], 0);
 
     let events = get(address, &format!("/api/v1/sessions/{session}/events")).await.json();

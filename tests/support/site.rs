@@ -76,7 +76,18 @@ impl Machine {
         ] {
             settings.insert_json5(key, &value).expect("a known key");
         }
-        Self::over(settings, id, boot).await
+        let machine = Self::over(settings, id, boot).await;
+        // What is put before the site's subscription is known here is lost.
+        let publisher = machine.session.declare_publisher(wire::topic_key("quarry", id, Topic::Health));
+        let publisher = publisher.await.expect("declares");
+        let heard = async {
+            while !publisher.matching_status().await.expect("a status").matching() {
+                tokio::time::sleep(Duration::from_millis(5)).await;
+            }
+        };
+        tokio::time::timeout(PATIENCE, heard).await.expect("the site subscribes in time");
+        drop(publisher);
+        machine
     }
 
     /// Over a link of one's own.

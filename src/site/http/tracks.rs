@@ -94,7 +94,7 @@ pub(super) struct MachineTrack {
     poses: PoseColumns,
     /// What it said of itself: once a second or less often, and at each change of mode or fixes.
     states: Vec<StatePoint>,
-    /// Two seconds and more without a pose.
+    /// Two seconds and more without a pose: from the last one before to the first one after.
     silences: Vec<SilenceView>,
     /// Poses that were sent, but are not in the recording.
     poses_missing: u64,

@@ -4,7 +4,7 @@
 //! its place by when the machine sent it. Of each span of time the first pose is kept; when there are too many,
 //! the spans are doubled. So memory is bounded however long the session is.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -30,8 +30,10 @@ pub(in crate::site) const STEP_LEAST: Span = Span::from_millis(50);
 /// Without a wish.
 const STEP_USUAL: Span = Span::from_millis(200);
 const REPORT_STEP: Span = Span::from_millis(1_000);
-/// Whole seconds without any pose are a silence.
-const SILENCE_UNIT_NS: i64 = 1_000_000_000;
+/// Without any pose for so long is a silence.
+const SILENCE: Span = Span::from_millis(2_000);
+/// Poses of so long are held by their first and their last: between them is no silence.
+const SILENCE_BIN_NS: i64 = 1_000_000_000;
 /// Eleven days; what comes after is not looked at for silences.
 const SECONDS_MAX: usize = 1_000_000;
 /// A machine's clock that is off by more is put right.
@@ -92,8 +94,8 @@ struct Gathering {
     poses: BTreeMap<i64, (Stamp, Option<BootId>, PoseSample)>,
     chassis: BTreeMap<i64, (Stamp, Option<Pose<Odom, Base>>)>,
     reports: BTreeMap<Stamp, Said>,
-    /// Seconds in which a pose was sent.
-    seconds: BTreeSet<i64>,
+    /// The first and the last pose of each second that has one.
+    seconds: BTreeMap<i64, (Stamp, Stamp)>,
     /// Numbers of the poses of each boot: least, most, how many.
     counted: BTreeMap<Option<BootId>, (u64, u64, u64)>,
     /// The shortest transit of each boot.
@@ -228,6 +230,15 @@ impl Gathering {
         transit
     }
 
+    fn heard_pose(&mut self, sent: Stamp) {
+        let second = sent.as_nanos().div_euclid(SILENCE_BIN_NS);
+        if let Some((first, last)) = self.seconds.get_mut(&second) {
+            (*first, *last) = ((*first).min(sent), (*last).max(sent));
+        } else if self.seconds.len() < SECONDS_MAX {
+            self.seconds.insert(second, (sent, sent));
+        }
+    }
+
     /// Whether there is one more.
     fn pose(&mut self, message: &Recorded<Vec<u8>>, step: Span) -> bool {
         self.observe_transit(message);
@@ -235,9 +246,7 @@ impl Gathering {
             self.counted.entry(message.boot).or_insert((message.sequence, message.sequence, 0));
         (*least, *most) = ((*least).min(message.sequence), (*most).max(message.sequence));
         *count += 1;
-        if self.seconds.len() < SECONDS_MAX {
-            self.seconds.insert(message.sent.as_nanos().div_euclid(SILENCE_UNIT_NS));
-        }
+        self.heard_pose(message.sent);
         let bin = bin(message.sent, step);
         if self.poses.get(&bin).is_some_and(|(held, ..)| *held <= message.sent) {
             return false;
@@ -341,11 +350,11 @@ impl Gathering {
     }
 }
 
-/// Two whole seconds without a pose, or more.
-fn silences(seconds: &BTreeSet<i64>, shift: Span) -> Vec<(Stamp, Stamp)> {
-    let at = |second: i64| Stamp::from_nanos(second * SILENCE_UNIT_NS) + shift;
-    let pairs = seconds.iter().zip(seconds.iter().skip(1));
-    pairs.filter(|(one, next)| *next - *one > 2).map(|(one, next)| (at(one + 1), at(*next))).collect()
+/// From the last pose before to the first one after.
+fn silences(seconds: &BTreeMap<i64, (Stamp, Stamp)>, shift: Span) -> Vec<(Stamp, Stamp)> {
+    let pairs = seconds.values().zip(seconds.values().skip(1));
+    let gaps = pairs.map(|((_, last), (first, _))| (*last, *first));
+    gaps.filter(|(from, to)| *to - *from >= SILENCE).map(|(from, to)| (from + shift, to + shift)).collect()
 }
 
 #[cfg(test)]
@@ -353,12 +362,19 @@ mod tests {
     use super::*;
 
     #[test]
-    fn seconds_without_poses_are_silences() {
-        let seconds: BTreeSet<i64> = [1, 2, 3, 5, 6, 10].into();
-        let found = silences(&seconds, Span::from_millis(500));
-        let stamp = |millis: i64| Stamp::from_nanos(millis * 1_000_000);
-        // Between 3 and 5 there is less than two seconds for sure.
-        assert_eq!(found, [(stamp(7_500), stamp(10_500))]);
+    fn silence_is_told_to_the_pose_wherever_its_seconds_begin() {
+        for phase_ms in [0, 1, 400, 600, 999] {
+            let mut gathering = Gathering::default();
+            let stamp = |millis: i64| Stamp::from_nanos((millis + phase_ms) * 1_000_000);
+            // In the order of a backfill.
+            for millis in [4_100, 6_100, 6_200, 0, 100, 900, 200, 2_100, 8_199] {
+                gathering.heard_pose(stamp(millis));
+            }
+            let half = Span::from_millis(500);
+            let expected =
+                [(2_100, 4_100), (4_100, 6_100)].map(|(from, to)| (stamp(from) + half, stamp(to) + half));
+            assert_eq!(silences(&gathering.seconds, half), expected, "{phase_ms}");
+        }
     }
 
     #[test]

@@ -1311,7 +1311,7 @@ export interface components {
              * @description Poses that were sent, but are not in the recording.
              */
             poses_missing: number;
-            /** @description Two seconds and more without a pose. */
+            /** @description Two seconds and more without a pose: from the last one before to the first one after. */
             silences: components["schemas"]["SilenceView"][];
             /** @description Version of its software, as it told last; empty if it did not. */
             software: string;
