@@ -1,8 +1,11 @@
 //! The last hour of something that is told once a second: whole for five minutes, and before that thinned.
 //!
 //! Of what is older than five minutes, each five seconds keep the point that tells the most, and every point at which
-//! something changed. So the memory of a machine hardly grows once the five minutes are full, and no change and no
+//! something changed. So the memory of a machine is bounded, and no change and no
 //! peak is missing from a plot.
+//!
+//! The room of an hour in which little changes is taken, and touched, at the first point: what a site needs for so many
+//! machines is seen in its first minute, not after its first hour.
 
 use std::collections::VecDeque;
 
@@ -16,6 +19,8 @@ const WHOLE: Span = Span::from_millis(300_000);
 const WHOLE_POINTS: usize = 310;
 /// Of older ones, one is kept in each such span.
 const THINNED: Span = Span::from_millis(5_000);
+/// How many that are in an hour, and some changes.
+const THINNED_POINTS: usize = 720;
 /// The most points, should something change all the time: the oldest go.
 pub(super) const POINTS_MAX: usize = 3_600;
 
@@ -40,7 +45,7 @@ impl<T> Default for LastHour<T> {
     }
 }
 
-impl<T: Point> LastHour<T> {
+impl<T: Point + Clone> LastHour<T> {
     /// The newest point.
     pub fn last(&self) -> Option<&(Stamp, T)> {
         self.whole.back()
@@ -49,8 +54,7 @@ impl<T: Point> LastHour<T> {
     /// Adds a point, newer than those before.
     pub fn push(&mut self, at: Stamp, point: T) {
         if self.whole.capacity() == 0 {
-            // It would double to far more.
-            self.whole.reserve_exact(WHOLE_POINTS);
+            self.take_room(at, &point);
         }
         self.whole.push_back((at, point));
         while let Some((then, _)) = self.whole.front()
@@ -65,6 +69,14 @@ impl<T: Point> LastHour<T> {
             if self.thinned.pop_front().is_none() {
                 self.whole.pop_front();
             }
+        }
+    }
+
+    fn take_room(&mut self, at: Stamp, point: &T) {
+        for (points, count) in [(&mut self.whole, WHOLE_POINTS), (&mut self.thinned, THINNED_POINTS)] {
+            points.reserve_exact(count);
+            points.resize(count, (at, point.clone()));
+            points.clear();
         }
     }
 

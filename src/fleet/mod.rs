@@ -42,7 +42,7 @@ pub use outages::{
     PlaceView, QUARTER, SAMPLES_MAX, ShadowFeature, ShadowMap, ShadowPolygon, ShadowProperties, SigmaSample,
     SigmaSummary, SigmaView, Statistics, Tally, Thinned, TrackPoint, TrackView,
 };
-pub use past::{Past, SensorRate, StatePoint};
+pub use past::{Past, Rates, SensorRate, StatePoint};
 pub use trail::{TRAIL_POINTS_MAX, TrailPoint, Trails};
 pub use view::{
     Ellipse95, FleetView, HealthView, LinkView, MachineView, PoseView, Presence, SIGMAS_95, Severity,
