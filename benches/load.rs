@@ -203,7 +203,9 @@ impl Peer {
         let (mut laps, mut next, mut next_health) = (0_u32, 0, 0);
         while begun.elapsed() < lasts {
             ticks.tick().await;
-            let since = begun.elapsed() - Duration::from_nanos(ROUND.as_nanos() as u64) * laps;
+            // A round may be told a moment before its time is over.
+            let behind = Duration::from_nanos(ROUND.as_nanos() as u64) * laps;
+            let since = begun.elapsed().saturating_sub(behind);
             let due = |at: Span| at.as_nanos() <= since.as_nanos() as i64;
             while let Some((_, topic, payload)) = round.messages.get(next).filter(|message| due(message.0)) {
                 let stamp = now();

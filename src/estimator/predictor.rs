@@ -56,9 +56,18 @@ struct Track {
     covariance: StateMatrix,
     /// Since `solution`, for the covariance.
     motion: Preintegration,
-    /// The newest step, if it is not in `motion` yet.
-    unsettled: Option<Step>,
+    unsettled: Unsettled,
     samples_since_covariance: u32,
+}
+
+/// What is not in a track's motion yet: nobody needs it before the next estimate.
+enum Unsettled {
+    Nothing,
+    /// The newest step.
+    Step(Step),
+    /// All steps since the solution, which has just been taken over: of several that follow each other between two
+    /// samples, only the last is settled.
+    Takeover,
 }
 
 /// The cabin turn and its rate.
@@ -127,16 +136,16 @@ impl Predictor {
     }
 
     fn push_sample(&mut self, sample: &ImuSample) -> Option<Estimate> {
+        self.settle();
         let previous = self.samples.newest().copied();
         self.samples.push(*sample);
         self.samples.forget_before(sample.stamp - SAMPLES_KEPT);
-        let track = self.track.as_mut()?;
+        self.track.as_ref()?;
         let step = Step::between(&previous?, sample);
-        track.settle(&self.options);
         let estimate = self.step(&step, sample);
         if let (Some(estimate), Some(track)) = (&estimate, &mut self.track) {
             track.state = estimate.state;
-            track.unsettled = Some(step);
+            track.unsettled = Unsettled::Step(step);
             self.odom_from_imu = Some(estimate.odom_from_imu);
             self.unblended = blended(&self.unblended, step.span_s);
         }
@@ -179,15 +188,16 @@ impl Predictor {
         black_box(self.step(black_box(&step), &sample));
     }
 
-    /// Does what can wait until an estimate is out: brings the covariance forward. [`Predictor::push`] does it
-    /// first if nobody has; the estimates are the same to the bit.
+    /// Does what can wait until an estimate is out or a solution is taken over: brings the covariance forward.
+    /// [`Predictor::push`] does it first if nobody has; the estimates are the same to the bit.
     pub fn settle(&mut self) {
         if let Some(track) = &mut self.track {
-            track.settle(&self.options);
+            track.settle(&self.samples, &self.options);
         }
     }
 
-    /// Takes over a solution, between two samples: integrates the samples since its stamp from it.
+    /// Takes over a solution, between two samples: integrates the samples since its stamp from it. What this
+    /// makes of its covariance is worked out by [`Predictor::settle`].
     pub fn adopt(&mut self, solution: &Solution) {
         if self.waits_for_restart && !solution.restart {
             // Of before a jump of the clock or a gap: the updater will start anew.
@@ -197,15 +207,9 @@ impl Predictor {
         self.waits_for_restart = false;
         let Some(newest) = self.samples.newest().map(|sample| sample.stamp) else { return };
         let Some(steps) = self.samples.steps(solution.stamp, newest) else { return };
-        let noise = &self.options.smoother.noise;
         let start = &solution.state;
-        let mut motion = Preintegration::new(start.gyro_bias, start.accel_bias);
-        let mut state = *start;
-        for step in steps {
-            motion.add(&step, noise);
-            state = propagate(&state, &step, &self.options.smoother.gravity);
-        }
-        let covariance = predict_covariance(&motion, start, &solution.covariance, noise);
+        let state =
+            steps.fold(*start, |state, step| propagate(&state, &step, &self.options.smoother.gravity));
         self.samples.forget_before(solution.stamp);
         if let Some(before) = self.track.as_ref().filter(|_| !solution.restart) {
             self.unblended += velocity_in_imu(&before.state) - velocity_in_imu(&state);
@@ -215,9 +219,9 @@ impl Predictor {
         self.track = Some(Track {
             solution: solution.clone(),
             state,
-            covariance,
-            motion,
-            unsettled: None,
+            covariance: solution.covariance,
+            motion: Preintegration::new(start.gyro_bias, start.accel_bias),
+            unsettled: Unsettled::Takeover,
             samples_since_covariance: 0,
         });
     }
@@ -267,15 +271,26 @@ impl Predictor {
 }
 
 impl Track {
-    fn settle(&mut self, options: &Options) {
-        let Some(step) = self.unsettled.take() else { return };
-        self.motion.add(&step, &options.smoother.noise);
-        self.samples_since_covariance += 1;
-        if self.samples_since_covariance >= COVARIANCE_EVERY {
-            self.samples_since_covariance = 0;
-            let Solution { state, covariance, .. } = &self.solution;
-            self.covariance = predict_covariance(&self.motion, state, covariance, &options.smoother.noise);
+    fn settle(&mut self, samples: &SampleBuffer, options: &Options) {
+        let noise = &options.smoother.noise;
+        match std::mem::replace(&mut self.unsettled, Unsettled::Nothing) {
+            Unsettled::Nothing => return,
+            Unsettled::Step(step) => {
+                self.motion.add(&step, noise);
+                self.samples_since_covariance += 1;
+                if self.samples_since_covariance < COVARIANCE_EVERY {
+                    return;
+                }
+            }
+            Unsettled::Takeover => {
+                let steps =
+                    samples.newest().and_then(|newest| samples.steps(self.solution.stamp, newest.stamp));
+                steps.into_iter().flatten().for_each(|step| self.motion.add(&step, noise));
+            }
         }
+        self.samples_since_covariance = 0;
+        let Solution { state, covariance, .. } = &self.solution;
+        self.covariance = predict_covariance(&self.motion, state, covariance, noise);
     }
 }
 

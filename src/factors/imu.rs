@@ -9,6 +9,9 @@ use crate::state::{NavState, STATE_DIM, StateMatrix, StateVector, row};
 /// information of the fixes is lost in rounding.
 const UNSEEN_POSITION_SIGMA_M: f64 = 1.0e-6;
 
+/// Residuals of the motion: rotation, position, velocity. Those of the biases follow.
+const MOTION_DIM: usize = row::GYRO_BIAS;
+
 /// Preintegrated motion from node i to node j, with the random walk of the biases.
 ///
 /// Residuals of Forster et al. 2017, eq. 45, in the order of the state's tangent:
@@ -37,6 +40,17 @@ pub struct LinearImu {
     pub jacobian_j: StateMatrix,
 }
 
+/// What two states say of the motion between them.
+struct Seen {
+    /// Before whitening.
+    residual: StateVector,
+    /// r_φ.
+    turn: Vec3,
+    /// In the IMU frame at i, without gravity and the velocity at i.
+    position: Vec3,
+    velocity: Vec3,
+}
+
 impl ImuFactor {
     /// The factor of a preintegrated motion longer than zero.
     ///
@@ -63,18 +77,25 @@ impl ImuFactor {
 
     /// Whitened residual; gravity in the world, m/s².
     pub fn residual(&self, state_i: &NavState, state_j: &NavState, gravity: &Vec3) -> StateVector {
+        self.whitened(&self.seen(state_i, state_j, gravity).residual)
+    }
+
+    fn seen(&self, state_i: &NavState, state_j: &NavState, gravity: &Vec3) -> Seen {
         let span = self.motion.span_s;
         let (rotation, position, velocity) = self.motion.corrected(&state_i.gyro_bias, &state_i.accel_bias);
         let back = state_i.rotation.inverse();
+        let turn = (rotation.inverse() * back * state_j.rotation).log();
+        let position_seen = back * moved(state_i, state_j, gravity, span);
+        let velocity_seen = back * (state_j.velocity - state_i.velocity - gravity * span);
         let mut residual = StateVector::zeros();
         let mut set = |first: usize, part: Vec3| residual.fixed_rows_mut::<3>(first).copy_from(&part);
-        set(row::ROTATION, (rotation.inverse() * back * state_j.rotation).log());
-        set(row::POSITION, back * moved(state_i, state_j, gravity, span) - position);
-        set(row::VELOCITY, back * (state_j.velocity - state_i.velocity - gravity * span) - velocity);
+        set(row::ROTATION, turn);
+        set(row::POSITION, position_seen - position);
+        set(row::VELOCITY, velocity_seen - velocity);
         set(row::GYRO_BIAS, state_j.gyro_bias - state_i.gyro_bias);
         set(row::ACCEL_BIAS, state_j.accel_bias - state_i.accel_bias);
         residual[row::BASE_GYRO_BIAS] = state_j.base_gyro_bias - state_i.base_gyro_bias;
-        self.whitened(&residual)
+        Seen { residual, turn, position: position_seen, velocity: velocity_seen }
     }
 
     /// Residual and Jacobians (Forster et al. 2017, supplementary material, eqs. A.9 to A.34, for positions
@@ -83,13 +104,9 @@ impl ImuFactor {
         let motion = &self.motion;
         let span = motion.span_s;
         let gyro_change = motion.rotation_by_gyro_bias * (state_i.gyro_bias - motion.gyro_bias);
-        let rotation = motion.rotation.plus(&gyro_change);
-        let back = state_i.rotation.inverse();
-        let back_matrix = back.matrix();
-        let rotation_residual = (rotation.inverse() * back * state_j.rotation).log();
-        let inverse_jacobian = So3::right_jacobian_inverse(&rotation_residual);
-        let position_seen = back * moved(state_i, state_j, gravity, span);
-        let velocity_seen = back * (state_j.velocity - state_i.velocity - gravity * span);
+        let back_matrix = state_i.rotation.inverse().matrix();
+        let seen = self.seen(state_i, state_j, gravity);
+        let inverse_jacobian = So3::right_jacobian_inverse(&seen.turn);
 
         let mut by_i = StateMatrix::zeros();
         let mut by_j = StateMatrix::zeros();
@@ -99,20 +116,20 @@ impl ImuFactor {
         let relative = (state_j.rotation.inverse() * state_i.rotation).matrix();
         set(&mut by_i, row::ROTATION, row::ROTATION, &(-inverse_jacobian * relative));
         let by_gyro_bias = -inverse_jacobian
-            * So3::exp(&rotation_residual).matrix().transpose()
+            * So3::exp(&seen.turn).matrix().transpose()
             * So3::right_jacobian(&gyro_change)
             * motion.rotation_by_gyro_bias;
         set(&mut by_i, row::ROTATION, row::GYRO_BIAS, &by_gyro_bias);
         set(&mut by_j, row::ROTATION, row::ROTATION, &inverse_jacobian);
 
-        set(&mut by_i, row::POSITION, row::ROTATION, &hat(&position_seen));
+        set(&mut by_i, row::POSITION, row::ROTATION, &hat(&seen.position));
         set(&mut by_i, row::POSITION, row::POSITION, &-back_matrix);
         set(&mut by_i, row::POSITION, row::VELOCITY, &(-back_matrix * span));
         set(&mut by_i, row::POSITION, row::GYRO_BIAS, &-motion.position_by_gyro_bias);
         set(&mut by_i, row::POSITION, row::ACCEL_BIAS, &-motion.position_by_accel_bias);
         set(&mut by_j, row::POSITION, row::POSITION, &back_matrix);
 
-        set(&mut by_i, row::VELOCITY, row::ROTATION, &hat(&velocity_seen));
+        set(&mut by_i, row::VELOCITY, row::ROTATION, &hat(&seen.velocity));
         set(&mut by_i, row::VELOCITY, row::VELOCITY, &-back_matrix);
         set(&mut by_i, row::VELOCITY, row::GYRO_BIAS, &-motion.velocity_by_gyro_bias);
         set(&mut by_i, row::VELOCITY, row::ACCEL_BIAS, &-motion.velocity_by_accel_bias);
@@ -124,11 +141,9 @@ impl ImuFactor {
         }
         by_i[(row::BASE_GYRO_BIAS, row::BASE_GYRO_BIAS)] = -1.0;
         by_j[(row::BASE_GYRO_BIAS, row::BASE_GYRO_BIAS)] = 1.0;
-        LinearImu {
-            residual: self.residual(state_i, state_j, gravity),
-            jacobian_i: self.whitened_columns::<STATE_DIM>(&by_i),
-            jacobian_j: self.whitened_columns::<9>(&by_j),
-        }
+        self.whiten_columns::<STATE_DIM>(&mut by_i);
+        self.whiten_columns::<MOTION_DIM>(&mut by_j);
+        LinearImu { residual: self.whitened(&seen.residual), jacobian_i: by_i, jacobian_j: by_j }
     }
 
     fn whitened(&self, residual: &StateVector) -> StateVector {
@@ -142,15 +157,25 @@ impl ImuFactor {
         whitened
     }
 
-    /// Of a Jacobian of which the residuals of the motion depend on the first `BY` columns, those of the biases on
-    /// their own.
-    fn whitened_columns<const BY: usize>(&self, jacobian: &StateMatrix) -> StateMatrix {
-        let mut whitened = *jacobian;
-        whitened.fixed_view_mut::<9, BY>(0, 0).copy_from(&(self.whiten * jacobian.fixed_view::<9, BY>(0, 0)));
-        for bias in 9..STATE_DIM {
-            whitened[(bias, bias)] *= self.bias_information_root[bias / 3 - 3];
+    /// A Jacobian of which the residuals of the motion depend on the first `BY` columns, those of the biases on their
+    /// own.
+    fn whiten_columns<const BY: usize>(&self, jacobian: &mut StateMatrix) {
+        let whiten = &self.whiten.data.0;
+        for column in &mut jacobian.data.0[..BY] {
+            let mut whitened = [0.0; MOTION_DIM];
+            // The factor is lower triangular, and a column of the Jacobian mostly zero.
+            for (inner, value) in
+                column.iter().enumerate().take(MOTION_DIM).filter(|(_, value)| **value != 0.0)
+            {
+                for out in inner..MOTION_DIM {
+                    whitened[out] += whiten[inner][out] * value;
+                }
+            }
+            column[..MOTION_DIM].copy_from_slice(&whitened);
         }
-        whitened
+        for bias in MOTION_DIM..STATE_DIM {
+            jacobian[(bias, bias)] *= self.bias_information_root[bias / 3 - 3];
+        }
     }
 }
 

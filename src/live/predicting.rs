@@ -118,6 +118,7 @@ impl<O: PredictorOutlet> Predicting<O> {
         let correction = self.predictor.adopt_measured(&finished.solution);
         let takeover = Takeover { before: self.taken, solution_of: finished.solution_of };
         self.outlet.taken_over(takeover, correction);
+        self.predictor.settle();
     }
 
     /// Parks until somebody rings or a rehearsal is due, and rehearses. Wakes too early at times, which does no

@@ -74,6 +74,11 @@ impl SampleBuffer {
         self.samples.iter()
     }
 
+    /// The samples newer than `stamp`, oldest first.
+    pub fn after(&self, stamp: Stamp) -> impl Iterator<Item = &ImuSample> {
+        self.samples.range(self.samples.partition_point(|sample| sample.stamp <= stamp)..)
+    }
+
     /// What the IMU would have read at `stamp`; `None` outside of the samples.
     pub fn at(&self, stamp: Stamp) -> Option<ImuSample> {
         let after = self.samples.partition_point(|sample| sample.stamp < stamp);

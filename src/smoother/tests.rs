@@ -446,6 +446,10 @@ fn predicted_covariance_agrees_with_sampling() {
         StateMatrix::from_diagonal(&StateVector::from_fn(|row, _| f64::powi(sigmas[row / 3], 2)));
     let motion = Preintegration::of_steps(steps.iter().copied(), Vec3::zeros(), Vec3::zeros(), &NOISE);
     let predicted = predict_covariance(&motion, &start, &covariance, &NOISE);
+    assert_eq!(
+        predict_pose_covariance(&motion, &start, &covariance),
+        predicted.fixed_view::<6, 6>(0, 0).into_owned()
+    );
     let nominal = motion.predict(&start, &gravity());
     let mut sampled = StateMatrix::zeros();
     for _ in 0..RUNS {

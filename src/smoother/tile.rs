@@ -49,8 +49,12 @@ impl Tile {
 
     /// `self − Σ a bᵀ` over a row of tiles.
     #[inline(always)]
-    pub fn minus_products<const N: usize>(self, a: &[Self; N], b: &[Self; N]) -> Self {
-        a.iter().zip(b).fold(self, |tile, (a, b)| tile.minus_product(a, b))
+    pub fn minus_products<const N: usize>(mut self, a: &[Self; N], b: &[Self; N]) -> Self {
+        // A loop: a fold is a function of its own, which is not compiled for the wide instructions of its caller.
+        for (a, b) in a.iter().zip(b) {
+            self = self.minus_product(a, b);
+        }
+        self
     }
 
     /// `self + a bᵀ` of two vectors.

@@ -207,7 +207,7 @@ fn candidate(
     let smoother = running.graphs.active_mut();
     let oldest = smoother.oldest_stamp().unwrap_or(fix.stamp);
     let behind_s = oldest.seconds_since(fix.stamp);
-    let (state, covariance) = smoother.predict(fix.stamp).ok_or(SmootherError::TooOld { behind_s })?;
+    let (state, covariance) = smoother.predict_pose(fix.stamp).ok_or(SmootherError::TooOld { behind_s })?;
     Ok(Candidate {
         stamp: fix.stamp,
         position: options.site.to_enu(fix.position),

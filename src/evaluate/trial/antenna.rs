@@ -40,7 +40,8 @@ pub(super) struct Passed {
 impl Antenna {
     pub fn note(&mut self, estimate: &Estimate, truth: &Truth, lever_arm: &Vec3) {
         let at = |state: &NavState| state.position + state.rotation * *lever_arm;
-        let covariance = predicted_position_covariance(&estimate.state, &estimate.covariance, lever_arm);
+        let of_pose = estimate.covariance.fixed_view::<6, 6>(0, 0).into_owned();
+        let covariance = predicted_position_covariance(&estimate.state, &of_pose, lever_arm);
         self.recent.push_back((estimate.stamp, [at(&estimate.state), at(&truth.state)], covariance));
         while self.recent.front().is_some_and(|(stamp, ..)| estimate.stamp - *stamp > KEPT) {
             self.recent.pop_front();
