@@ -9,15 +9,7 @@ use crate::smoother::{self, Smoother};
 use crate::state::{STATE_DIM, StateMatrix};
 use crate::time::Span;
 
-const NOISE: ImuNoise = ImuNoise {
-    gyroscope_noise_density: 1.6e-4,
-    accelerometer_noise_density: 1.1e-3,
-    gyroscope_random_walk: 8.0e-6,
-    accelerometer_random_walk: 6.0e-5,
-    base_gyroscope_random_walk: 8.0e-6,
-    missed_part: [0.0; 2],
-    gap_s: 0.05,
-};
+const NOISE: ImuNoise = ImuNoise::OF_TESTS;
 const MILLI: i64 = 1_000_000;
 
 fn gravity() -> Vec3 {

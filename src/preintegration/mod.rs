@@ -37,6 +37,20 @@ pub struct ImuNoise {
     pub gap_s: f64,
 }
 
+#[cfg(test)]
+impl ImuNoise {
+    /// Of a good industrial IMU, as the tests' machines carry it.
+    pub(crate) const OF_TESTS: Self = Self {
+        gyroscope_noise_density: 1.6e-4,
+        accelerometer_noise_density: 1.1e-3,
+        gyroscope_random_walk: 8.0e-6,
+        accelerometer_random_walk: 6.0e-5,
+        base_gyroscope_random_walk: 8.0e-6,
+        missed_part: [0.0; 2],
+        gap_s: 0.05,
+    };
+}
+
 /// What is not known of the motion inside a gap between two samples, one sigma: rad/s.
 const GAP_ANGULAR_RATE_SIGMA: f64 = 0.05;
 /// The same for the specific force: m/s².

@@ -439,7 +439,7 @@ impl Smoother {
         Some((motion.predict(&start, &gravity), covariance))
     }
 
-    /// [`Smoother::predict`] with the pose's part of the covariance alone, which takes less than half of the time.
+    /// [`Smoother::predict`] with the pose's part of the covariance alone.
     pub fn predict_pose(&mut self, stamp: Stamp) -> Option<(NavState, PoseCovariance)> {
         let newest = self.nodes.back()?;
         if stamp <= newest.stamp {

@@ -12,15 +12,7 @@ use crate::frames::{Imu, Lidar, Pose};
 use crate::lie::{Se3, So3};
 use crate::state::{STATE_DIM, StateVector, row};
 
-const NOISE: ImuNoise = ImuNoise {
-    gyroscope_noise_density: 1.6e-4,
-    accelerometer_noise_density: 1.1e-3,
-    gyroscope_random_walk: 8.0e-6,
-    accelerometer_random_walk: 6.0e-5,
-    base_gyroscope_random_walk: 8.0e-6,
-    missed_part: [0.0; 2],
-    gap_s: 0.05,
-};
+const NOISE: ImuNoise = ImuNoise::OF_TESTS;
 
 fn gravity() -> Vec3 {
     Vec3::new(0.0, 0.0, -9.81)
